@@ -1,0 +1,87 @@
+//! Saving a run and taking it up again.
+
+use crate::engine::State;
+use crate::{Engine, Factor, FactorGraph, GraphError, Message, Options, Topology};
+use serde::{Deserialize, Serialize};
+
+/// The version of the layout below; a checkpoint of another version is refused.
+const VERSION: u32 = 1;
+
+/// Everything that changes during a run: messages, beliefs, and the iteration count that, with the seed, gives
+/// the position of every random stream.
+///
+/// The graph itself is rebuilt by the program that resumes; a fingerprint of its structure tells whether it is
+/// the same. A resumed run equals the uninterrupted one bit for bit.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Checkpoint<M> {
+    version: u32,
+    fingerprint: u64,
+    seed: u64,
+    iteration: u64,
+    messages: Vec<M>,
+    beliefs: Vec<M>,
+    guessed: Vec<bool>,
+}
+
+impl<'g, M: Message, F: Factor<M>> Engine<'g, M, F> {
+    /// The run as it stands.
+    pub fn checkpoint(&self) -> Checkpoint<M> {
+        let state = self.state();
+        Checkpoint {
+            version: VERSION,
+            fingerprint: fingerprint(self.graph(), self.topology()),
+            seed: self.seed(),
+            iteration: state.iteration,
+            messages: state.messages.clone(),
+            beliefs: state.beliefs.clone(),
+            guessed: state.guessed.clone(),
+        }
+    }
+
+    /// An engine that goes on from a checkpoint; the seed is the checkpoint's, not that of `options`.
+    ///
+    /// # Errors
+    ///
+    /// [`GraphError::Checkpoint`] where it is of another version or another graph, else as [`Engine::new`].
+    pub fn resume(
+        graph: &'g FactorGraph<M, F>,
+        options: Options,
+        checkpoint: Checkpoint<M>,
+    ) -> Result<Self, GraphError> {
+        let Checkpoint { version, fingerprint: saved, seed, iteration, messages, beliefs, guessed } =
+            checkpoint;
+        if version != VERSION {
+            let reason = format!("its version is {version}, this program reads version {VERSION}");
+            return Err(GraphError::Checkpoint(reason));
+        }
+        let topology = Topology::new(graph);
+        let sizes = [messages.len() == topology.edge_count(), beliefs.len() == topology.variable_count()];
+        if saved != fingerprint(graph, &topology) || sizes != [true; 2] || guessed.len() != beliefs.len() {
+            let reason = "it was saved from a graph with other variables, factors or edges".to_owned();
+            return Err(GraphError::Checkpoint(reason));
+        }
+        let mut state = State::new(graph, &topology);
+        state.stale.fill(false);
+        state = State { iteration, messages, beliefs, guessed, ..state };
+        Self::with_state(graph, topology, Options { seed, ..options }, state)
+    }
+}
+
+/// FNV-1a over the structure: names, dimensions, and who touches whom.
+fn fingerprint<M: Message, F: Factor<M>>(graph: &FactorGraph<M, F>, topology: &Topology) -> u64 {
+    let mut hash: u64 = 0xcbf2_9ce4_8422_2325;
+    let mut feed = |bytes: &[u8]| {
+        for &byte in bytes {
+            hash = (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3);
+        }
+    };
+    for variable in graph.variable_ids() {
+        feed(graph.variable_name(variable).as_bytes());
+        feed(&(graph.space(variable).dimension() as u64).to_le_bytes());
+    }
+    for edge in topology.edges() {
+        feed(&topology.factor_of(edge).0.to_le_bytes());
+        feed(&topology.variable_of(edge).0.to_le_bytes());
+    }
+    hash
+}

@@ -1,0 +1,124 @@
+//! A factor's rules for one family of messages.
+
+use crate::{Message, MessageError, Stream};
+
+/// The place of a variable in a factor's argument list, from zero.
+pub type Port = usize;
+
+/// What a factor sees when it computes a message: the messages and the beliefs at its ports.
+#[derive(Debug)]
+pub struct Incoming<'a, M> {
+    messages: &'a [M],
+    beliefs: &'a [M],
+    variables: &'a [u32],
+}
+
+impl<'a, M> Incoming<'a, M> {
+    /// One message per port, and beliefs looked up by the variable at each port.
+    ///
+    /// # Panics
+    ///
+    /// Where the slices differ in length, or a variable has no belief.
+    pub fn new(messages: &'a [M], beliefs: &'a [M], variables: &'a [u32]) -> Self {
+        assert!(messages.len() >= variables.len(), "one message per port");
+        assert!(variables.iter().all(|&v| (v as usize) < beliefs.len()), "one belief per variable");
+        Self { messages, beliefs, variables }
+    }
+
+    pub(crate) fn trusted(messages: &'a [M], beliefs: &'a [M], variables: &'a [u32]) -> Self {
+        Self { messages, beliefs, variables }
+    }
+
+    /// Number of ports.
+    pub fn arity(&self) -> usize {
+        self.variables.len()
+    }
+
+    /// The message from the variable at `port`: what all others there say of it (or, broadcast, its belief).
+    pub fn message(&self, port: Port) -> &'a M {
+        &self.messages[port]
+    }
+
+    /// The belief of the variable at `port`: where to linearise, or, at the receiving port, where to sample.
+    pub fn belief(&self, port: Port) -> &'a M {
+        &self.beliefs[self.variables[port] as usize]
+    }
+}
+
+/// One factor's rules for one family of messages.
+///
+/// A factor knows nothing of the graph: it sees ports, and the messages and beliefs at them.
+pub trait Factor<M: Message>: Send + Sync {
+    /// The dimension of each port, in order; its length is the number of ports.
+    fn dimensions(&self) -> &[usize];
+
+    /// The message to port `to`: this factor times the messages from all other ports, summed over their
+    /// variables, held in `form`.
+    ///
+    /// # Errors
+    ///
+    /// Where the rule does not exist for these messages, or numbers do not allow it.
+    fn message(
+        &self,
+        to: Port,
+        incoming: &Incoming<'_, M>,
+        form: &M::Form,
+        stream: &mut Stream,
+    ) -> Result<M, MessageError>;
+
+    /// [`Factor::message`] into `out`, whose storage may be reused; what `out` holds on entry is arbitrary.
+    ///
+    /// # Errors
+    ///
+    /// As [`Factor::message`].
+    fn message_into(
+        &self,
+        to: Port,
+        incoming: &Incoming<'_, M>,
+        form: &M::Form,
+        stream: &mut Stream,
+        out: &mut M,
+    ) -> Result<(), MessageError> {
+        *out = self.message(to, incoming, form, stream)?;
+        Ok(())
+    }
+
+    /// Whether the message to a single port depends on nothing but this factor, so that once is enough.
+    fn is_constant(&self) -> bool {
+        false
+    }
+}
+
+macro_rules! forward {
+    ($($pointer:ty),*) => {$(
+        impl<M: Message, F: Factor<M> + ?Sized> Factor<M> for $pointer {
+            fn dimensions(&self) -> &[usize] {
+                (**self).dimensions()
+            }
+            fn message(
+                &self,
+                to: Port,
+                incoming: &Incoming<'_, M>,
+                form: &M::Form,
+                stream: &mut Stream,
+            ) -> Result<M, MessageError> {
+                (**self).message(to, incoming, form, stream)
+            }
+            fn message_into(
+                &self,
+                to: Port,
+                incoming: &Incoming<'_, M>,
+                form: &M::Form,
+                stream: &mut Stream,
+                out: &mut M,
+            ) -> Result<(), MessageError> {
+                (**self).message_into(to, incoming, form, stream, out)
+            }
+            fn is_constant(&self) -> bool {
+                (**self).is_constant()
+            }
+        }
+    )*};
+}
+
+forward!(Box<F>, std::sync::Arc<F>, &F);
