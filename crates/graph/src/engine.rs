@@ -129,7 +129,7 @@ impl<'g, M: Message, F: Factor<M>> Engine<'g, M, F> {
                 })?;
             }
         }
-        let belief_forms = graph
+        let belief_forms: Vec<M::Form> = graph
             .variable_ids()
             .map(|variable| graph.belief_form(variable, topology.raw_edges_of_variable(variable.index())))
             .collect();

@@ -1,1 +1,25 @@
-//! Placeholder.
+//! Families of messages, their products, and the graph that mixes them.
+//!
+//! | family | holds | product | quotient |
+//! |---|---|---|---|
+//! | [`Gaussian`] | information form, dimension fixed at compile time | addition | subtraction |
+//! | [`DynamicGaussian`] | the same, dimension chosen at run time; no heap up to five | addition | subtraction |
+//! | [`Particles`] | points with log weights | on one support, else by kernels | on one support |
+//! | [`AnyMessage`] | any of these, by the form of each edge | in the form of the belief | where both can |
+//!
+//! Adding a family to the mix touches its own file and [`AnyMessage`] alone.
+
+mod any;
+mod dense;
+mod dynamic;
+mod gaussian;
+mod kernel;
+mod moments;
+mod particles;
+
+pub use any::{AnyForm, AnyMessage, AnyValue, ParticleFamily};
+pub use dense::Cholesky;
+pub use dynamic::DynamicGaussian;
+pub use gaussian::{Gaussian, GaussianFamily, GaussianForm, Linearisation};
+pub use moments::{Moments, gaussian_divergence};
+pub use particles::{Particles, ParticlesForm, Role};

@@ -1,0 +1,129 @@
+//! Cholesky factors of small matrices held row by row in slices, without allocation.
+//!
+//! nalgebra's decompositions own their matrices and its dynamic ones live on the heap; a message's arithmetic
+//! happens in storage that the caller keeps.
+
+use smallvec::SmallVec;
+use sumprod_graph::MessageError;
+
+/// A lower-triangular Cholesky factor L of a symmetric positive definite matrix A = L L'.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Cholesky {
+    dimension: usize,
+    /// Row-major; the strict upper triangle is not read. The diagonal holds 1 / L(i, i).
+    factor: SmallVec<[f64; 36]>,
+}
+
+impl Cholesky {
+    /// Factorises the `dimension` by `dimension` row-major `matrix`, of which the lower triangle is read.
+    ///
+    /// # Errors
+    ///
+    /// [`MessageError::NotPositiveDefinite`] naming `what` and the pivot.
+    pub fn new(matrix: &[f64], dimension: usize, what: &'static str) -> Result<Self, MessageError> {
+        let mut factor: SmallVec<[f64; 36]> = SmallVec::from_slice(&matrix[..dimension * dimension]);
+        for row in 0..dimension {
+            for column in 0..=row {
+                let (a, b) = (row * dimension, column * dimension);
+                let dot: f64 = (0..column).map(|k| factor[a + k] * factor[b + k]).sum();
+                let value = factor[a + column] - dot;
+                if column < row {
+                    factor[a + column] = value * factor[b + column];
+                } else if value > 0.0 && value.is_finite() {
+                    factor[a + row] = 1.0 / value.sqrt();
+                } else {
+                    return Err(MessageError::NotPositiveDefinite { what, pivot: row, value });
+                }
+            }
+        }
+        Ok(Self { dimension, factor })
+    }
+
+    /// Solves A x = b in place, `b` of the matrix's dimension.
+    pub fn solve(&self, b: &mut [f64]) {
+        self.solve_lower(b);
+        self.solve_upper(b);
+    }
+
+    /// Solves L y = b in place.
+    pub fn solve_lower(&self, b: &mut [f64]) {
+        let d = self.dimension;
+        for row in 0..d {
+            let dot: f64 = (0..row).map(|k| self.factor[row * d + k] * b[k]).sum();
+            b[row] = (b[row] - dot) * self.factor[row * d + row];
+        }
+    }
+
+    /// Solves L' x = b in place.
+    pub fn solve_upper(&self, b: &mut [f64]) {
+        let d = self.dimension;
+        for row in (0..d).rev() {
+            let dot: f64 = (row + 1..d).map(|k| self.factor[k * d + row] * b[k]).sum();
+            b[row] = (b[row] - dot) * self.factor[row * d + row];
+        }
+    }
+
+    /// Computes L z into `out`, for instance a draw of covariance A from a standard normal `z`.
+    pub fn multiply_lower(&self, z: &[f64], out: &mut [f64]) {
+        let d = self.dimension;
+        for row in 0..d {
+            let below: f64 = (0..row).map(|k| self.factor[row * d + k] * z[k]).sum();
+            out[row] = below + z[row] / self.factor[row * d + row];
+        }
+    }
+
+    /// Writes the inverse of A, row-major, into `out`.
+    pub fn inverse(&self, out: &mut [f64]) {
+        let d = self.dimension;
+        for column in 0..d {
+            let mut unit: SmallVec<[f64; 6]> = SmallVec::from_elem(0.0, d);
+            unit[column] = 1.0;
+            self.solve(&mut unit);
+            for row in 0..d {
+                out[row * d + column] = unit[row];
+            }
+        }
+    }
+
+    /// Log determinant of A.
+    pub fn log_determinant(&self) -> f64 {
+        let d = self.dimension;
+        -2.0 * (0..d).map(|k| self.factor[k * d + k].ln()).sum::<f64>()
+    }
+
+    /// Squared Mahalanobis length x' A⁻¹ x; overwrites `x`.
+    pub fn squared_length(&self, x: &mut [f64]) -> f64 {
+        self.solve_lower(x);
+        x.iter().map(|y| y * y).sum()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_inverse_times_the_matrix_is_the_identity() {
+        let a = [4.0, 2.0, -1.0, 2.0, 5.0, 0.5, -1.0, 0.5, 3.0];
+        let cholesky = Cholesky::new(&a, 3, "test matrix").unwrap();
+        let mut inverse = [0.0; 9];
+        cholesky.inverse(&mut inverse);
+        for row in 0..3 {
+            for column in 0..3 {
+                let product: f64 = (0..3).map(|k| a[row * 3 + k] * inverse[k * 3 + column]).sum();
+                assert!((product - f64::from(u8::from(row == column))).abs() < 1e-14);
+            }
+        }
+        let determinant: f64 = 4.0 * (15.0 - 0.25) - 2.0 * (6.0 + 0.5) - (1.0 + 5.0);
+        assert!((cholesky.log_determinant() - determinant.ln()).abs() < 1e-13);
+    }
+
+    #[test]
+    fn an_indefinite_matrix_names_its_pivot() {
+        let error = Cholesky::new(&[1.0, 2.0, 2.0, 1.0], 2, "the information").unwrap_err();
+        assert_eq!(
+            error,
+            MessageError::NotPositiveDefinite { what: "the information", pivot: 1, value: -3.0 }
+        );
+    }
+}

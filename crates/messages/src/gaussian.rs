@@ -1,0 +1,385 @@
+//! Gaussian messages of a dimension fixed at compile time, in information form.
+//!
+//! A message is exp(-½ x'Λx + η'x), with information Λ and information vector η. Λ may have any rank: a message
+//! that says nothing of some directions is legal, and only asking for its moments is an error. Products add,
+//! quotients subtract.
+
+use crate::Moments;
+use crate::moments::improper;
+use nalgebra::{SMatrix, SVector};
+use serde::{Deserialize, Serialize};
+use sumprod_graph::{Message, MessageError, Messages, Space, Stream};
+
+/// How a nonlinear factor is made linear for a Gaussian message.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Linearisation {
+    /// First-order expansion at the means of the beliefs, renewed whenever the message is.
+    #[default]
+    Jacobian,
+    /// Statistical linear regression over sigma points of the beliefs.
+    SigmaPoints,
+}
+
+/// How an edge holds Gaussian messages.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct GaussianForm {
+    /// How nonlinear factors are made linear.
+    #[serde(default)]
+    pub linearisation: Linearisation,
+}
+
+/// A family whose messages can be read and written as Gaussians in information form.
+pub trait GaussianFamily: Message {
+    /// How an edge of this form makes nonlinear factors linear.
+    fn gaussian_form(form: &Self::Form) -> GaussianForm;
+
+    /// Number of coordinates.
+    fn dimension(&self) -> usize;
+
+    /// Adds nothing and writes the information (row-major, d by d) and the information vector (d); returns the
+    /// divergence (nats) that reading this message as a Gaussian costs.
+    ///
+    /// # Errors
+    ///
+    /// Where the message cannot be read as a Gaussian.
+    fn read_information(&self, information: &mut [f64], vector: &mut [f64]) -> Result<f64, MessageError>;
+
+    /// Becomes the Gaussian of this information and information vector on the space of `like`, having cost `loss`
+    /// nats.
+    ///
+    /// # Errors
+    ///
+    /// Where the dimension does not suit the family.
+    fn write_information(
+        &mut self,
+        like: &Self,
+        information: &[f64],
+        vector: &[f64],
+        loss: f64,
+    ) -> Result<(), MessageError>;
+}
+
+/// A Gaussian message over `D` coordinates.
+///
+/// ```
+/// use nalgebra::{Matrix2, Vector2};
+/// use sumprod_messages::Gaussian;
+///
+/// let gps = Gaussian::from_moments(Vector2::new(3.0, 4.0), Matrix2::identity() * 25.0)?;
+/// let (mean, covariance) = gps.moments()?;
+/// assert!((mean - Vector2::new(3.0, 4.0)).norm() < 1e-12);
+/// assert!((covariance[(0, 0)] - 25.0).abs() < 1e-12);
+/// # Ok::<(), sumprod_graph::MessageError>(())
+/// ```
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Gaussian<const D: usize> {
+    information: SMatrix<f64, D, D>,
+    vector: SVector<f64, D>,
+}
+
+impl<const D: usize> Default for Gaussian<D> {
+    fn default() -> Self {
+        Self { information: SMatrix::zeros(), vector: SVector::zeros() }
+    }
+}
+
+impl<const D: usize> Gaussian<D> {
+    /// The message of this information matrix (symmetric, any rank) and information vector.
+    #[inline]
+    pub fn from_information(information: SMatrix<f64, D, D>, vector: SVector<f64, D>) -> Self {
+        Self { information, vector }
+    }
+
+    /// The message of this mean and covariance.
+    ///
+    /// # Errors
+    ///
+    /// Where the covariance is not positive definite: a direction known exactly has no information form.
+    pub fn from_moments(mean: SVector<f64, D>, covariance: SMatrix<f64, D, D>) -> Result<Self, MessageError> {
+        let information = invert(&covariance, "the covariance")?;
+        Ok(Self { information, vector: information * mean })
+    }
+
+    /// The information matrix Λ.
+    #[inline]
+    pub fn information(&self) -> &SMatrix<f64, D, D> {
+        &self.information
+    }
+
+    /// The information vector η = Λ times the mean.
+    #[inline]
+    pub fn information_vector(&self) -> &SVector<f64, D> {
+        &self.vector
+    }
+
+    /// Mean and covariance.
+    ///
+    /// # Errors
+    ///
+    /// [`MessageError::Improper`] where some direction is unconstrained.
+    pub fn moments(&self) -> Result<(SVector<f64, D>, SMatrix<f64, D, D>), MessageError> {
+        let covariance = invert(&self.information, "the message").map_err(|_| self.improper())?;
+        Ok((covariance * self.vector, covariance))
+    }
+
+    /// The mean alone, cheaper than [`Gaussian::moments`].
+    ///
+    /// # Errors
+    ///
+    /// As [`Gaussian::moments`].
+    pub fn mean(&self) -> Result<SVector<f64, D>, MessageError> {
+        let factor = cholesky(&self.information, "the message").map_err(|_| self.improper())?;
+        let mut mean = self.vector;
+        factor.solve(&mut mean);
+        Ok(mean)
+    }
+
+    /// Mean and covariance as a [`Moments`].
+    ///
+    /// # Errors
+    ///
+    /// As [`Gaussian::moments`].
+    pub fn to_moments(&self) -> Result<Moments, MessageError> {
+        let (mean, covariance) = self.moments()?;
+        Ok(Moments { mean: mean.as_slice().to_vec(), covariance: covariance.as_slice().to_vec() })
+    }
+
+    /// The product of two messages.
+    #[inline]
+    #[must_use]
+    pub fn times(&self, other: &Self) -> Self {
+        Self { information: self.information + other.information, vector: self.vector + other.vector }
+    }
+
+    fn improper(&self) -> MessageError {
+        improper("the message", self.information.as_slice(), D)
+    }
+}
+
+/// Lower Cholesky factor of a static matrix; the diagonal holds reciprocals.
+pub(crate) struct StaticCholesky<const D: usize>(SMatrix<f64, D, D>);
+
+#[inline]
+pub(crate) fn cholesky<const D: usize>(
+    matrix: &SMatrix<f64, D, D>,
+    what: &'static str,
+) -> Result<StaticCholesky<D>, MessageError> {
+    let mut factor = *matrix;
+    for column in 0..D {
+        let mut pivot = factor[(column, column)];
+        for k in 0..column {
+            pivot -= factor[(column, k)] * factor[(column, k)];
+        }
+        if !(pivot > 0.0 && pivot.is_finite()) {
+            return Err(MessageError::NotPositiveDefinite { what, pivot: column, value: pivot });
+        }
+        let reciprocal = 1.0 / pivot.sqrt();
+        factor[(column, column)] = reciprocal;
+        for row in column + 1..D {
+            let mut value = factor[(row, column)];
+            for k in 0..column {
+                value -= factor[(row, k)] * factor[(column, k)];
+            }
+            factor[(row, column)] = value * reciprocal;
+        }
+    }
+    Ok(StaticCholesky(factor))
+}
+
+impl<const D: usize> StaticCholesky<D> {
+    #[inline]
+    pub(crate) fn solve(&self, b: &mut SVector<f64, D>) {
+        let factor = &self.0;
+        for row in 0..D {
+            let mut value = b[row];
+            for k in 0..row {
+                value -= factor[(row, k)] * b[k];
+            }
+            b[row] = value * factor[(row, row)];
+        }
+        for row in (0..D).rev() {
+            let mut value = b[row];
+            for k in row + 1..D {
+                value -= factor[(k, row)] * b[k];
+            }
+            b[row] = value * factor[(row, row)];
+        }
+    }
+
+    #[inline]
+    pub(crate) fn inverse(&self) -> SMatrix<f64, D, D> {
+        // L⁻¹ first, a triangle, then A⁻¹ = L⁻ᵀ L⁻¹: half the work of solving for every unit vector.
+        let factor = &self.0;
+        let mut lower = SMatrix::<f64, D, D>::zeros();
+        for column in 0..D {
+            lower[(column, column)] = factor[(column, column)];
+            for row in column + 1..D {
+                let mut value = 0.0;
+                for k in column..row {
+                    value -= factor[(row, k)] * lower[(k, column)];
+                }
+                lower[(row, column)] = value * factor[(row, row)];
+            }
+        }
+        let mut inverse = SMatrix::<f64, D, D>::zeros();
+        for row in 0..D {
+            for column in 0..=row {
+                let mut value = 0.0;
+                for k in row..D {
+                    value += lower[(k, row)] * lower[(k, column)];
+                }
+                inverse[(row, column)] = value;
+                inverse[(column, row)] = value;
+            }
+        }
+        inverse
+    }
+}
+
+#[inline]
+fn invert<const D: usize>(
+    matrix: &SMatrix<f64, D, D>,
+    what: &'static str,
+) -> Result<SMatrix<f64, D, D>, MessageError> {
+    Ok(cholesky(matrix, what)?.inverse())
+}
+
+/// How far an information form moved, in standard deviations: the largest change of an entry of Λ relative to
+/// its diagonal, or of η relative to the square root of it. Changes at the rounding level of η count as none.
+#[inline]
+pub(crate) fn information_change(
+    dimension: usize,
+    new: (impl Fn(usize, usize) -> f64, impl Fn(usize) -> f64),
+    old: (impl Fn(usize, usize) -> f64, impl Fn(usize) -> f64),
+) -> f64 {
+    const ROUNDING: f64 = 16.0 * f64::EPSILON;
+    let mut largest: f64 = 0.0;
+    for row in 0..dimension {
+        let own = new.0(row, row).abs().max(old.0(row, row).abs());
+        if own == 0.0 {
+            continue;
+        }
+        let scale = 1.0 / own;
+        let (now, before) = (new.1(row), old.1(row));
+        let shift = ((now - before).abs() - ROUNDING * (now.abs() + before.abs())).max(0.0);
+        largest = not_below(largest, shift * shift * scale);
+        for column in 0..=row {
+            let other = new.0(column, column).abs().max(old.0(column, column).abs());
+            let difference = new.0(row, column) - old.0(row, column);
+            let product = difference * difference * scale;
+            if product > 0.0 {
+                largest = not_below(largest, product / other);
+            } else if product.is_nan() {
+                return f64::NAN;
+            }
+        }
+    }
+    largest.sqrt()
+}
+
+/// The larger of two, and NaN if either is.
+#[inline]
+fn not_below(a: f64, b: f64) -> f64 {
+    if b > a || b.is_nan() { b } else { a }
+}
+
+impl<const D: usize> Message for Gaussian<D> {
+    type Form = GaussianForm;
+
+    fn vacuous(_space: &Space) -> Self {
+        Self::default()
+    }
+
+    #[inline]
+    fn product(
+        incoming: Messages<'_, Self>,
+        _form: &GaussianForm,
+        _stream: &mut Stream,
+    ) -> Result<Self, MessageError> {
+        let mut product = Self::default();
+        for message in incoming.iter() {
+            product.information += message.information;
+            product.vector += message.vector;
+        }
+        Ok(product)
+    }
+
+    #[inline]
+    fn quotient(&self, incoming: &Self) -> Option<Self> {
+        Some(Self {
+            information: self.information - incoming.information,
+            vector: self.vector - incoming.vector,
+        })
+    }
+
+    #[inline]
+    fn change(&self, previous: &Self) -> f64 {
+        let (new, old) = (self, previous);
+        information_change(
+            D,
+            (|r, c| new.information[(r, c)], |r| new.vector[r]),
+            (|r, c| old.information[(r, c)], |r| old.vector[r]),
+        )
+    }
+
+    fn damp(&mut self, previous: &Self, damping: f64) -> bool {
+        self.information += (previous.information - self.information) * damping;
+        self.vector += (previous.vector - self.vector) * damping;
+        true
+    }
+
+    fn check_form(_form: &GaussianForm, space: &Space) -> Result<(), String> {
+        check_gaussian_space(space)?;
+        if space.dimension() == D {
+            return Ok(());
+        }
+        Err(format!(
+            "a graph of {D}-dimensional Gaussians cannot hold a variable of dimension {}",
+            space.dimension()
+        ))
+    }
+
+    fn is_proper(&self) -> bool {
+        cholesky(&self.information, "the message").is_ok()
+    }
+}
+
+pub(crate) fn check_gaussian_space(space: &Space) -> Result<(), String> {
+    match space {
+        Space::Continuous(_) => Ok(()),
+        Space::Finite(states) => Err(format!("a Gaussian cannot hold a variable of {states} states")),
+    }
+}
+
+impl<const D: usize> GaussianFamily for Gaussian<D> {
+    fn gaussian_form(form: &GaussianForm) -> GaussianForm {
+        *form
+    }
+
+    fn dimension(&self) -> usize {
+        D
+    }
+
+    fn read_information(&self, information: &mut [f64], vector: &mut [f64]) -> Result<f64, MessageError> {
+        information[..D * D].copy_from_slice(self.information.as_slice());
+        vector[..D].copy_from_slice(self.vector.as_slice());
+        Ok(0.0)
+    }
+
+    fn write_information(
+        &mut self,
+        _like: &Self,
+        information: &[f64],
+        vector: &[f64],
+        _loss: f64,
+    ) -> Result<(), MessageError> {
+        if vector.len() != D {
+            return Err(MessageError::Dimension { what: "the message", found: vector.len(), expected: D });
+        }
+        self.information = SMatrix::from_column_slice(information);
+        self.vector = SVector::from_column_slice(vector);
+        Ok(())
+    }
+}
