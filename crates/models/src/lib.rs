@@ -1,1 +1,34 @@
-//! Placeholder.
+//! Factors: what a user writes, the rules that follow from it, and a library.
+//!
+//! A user writes a [`Residual`] (a measurement or constraint: a function that should be zero, and its noise) or a
+//! [`Motion`] (a state's step and its process noise). From either follow the rules of every family of messages:
+//!
+//! | family | residual | motion |
+//! |---|---|---|
+//! | Gaussian | linearised by dual numbers or sigma points, robust weights | prediction and retrodiction, singular process noise allowed |
+//! | particles | values at the receiver's particles, averaged over the sender's | a draw per particle, guided by what is known of the receiver |
+//! | any | by the form of the edge | by the form of the edge |
+//!
+//! [`AddModel`] puts them into a graph; [`check_residual`] holds a residual against finite differences.
+
+mod add;
+mod check;
+mod cluster;
+mod dual;
+pub mod library;
+mod model;
+mod motion;
+mod noise;
+mod residual;
+mod rules;
+mod small;
+
+pub use add::AddModel;
+pub use check::{DerivativeMismatch, check_residual};
+pub use cluster::{Block, Cluster};
+pub use dual::Real;
+pub use model::Model;
+pub use motion::{Motion, ProcessNoise, Transition};
+pub use noise::{Noise, NoiseError};
+pub use residual::{Linearised, PortSampler, Residual, ResidualModel};
+pub use rules::Rules;

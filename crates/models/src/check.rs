@@ -1,0 +1,92 @@
+//! A checker of users' residuals.
+
+use crate::residual::{Linearised, Residual, ResidualModel};
+use thiserror::Error;
+
+/// A derivative that differs from the finite difference.
+#[derive(Clone, Debug, PartialEq, Error)]
+#[error(
+    "component {component} of the residual by coordinate {coordinate} of port {port}: derivative {derivative:.9e}, \
+     finite difference {difference:.9e}"
+)]
+pub struct DerivativeMismatch {
+    /// Component of the residual.
+    pub component: usize,
+    /// The port.
+    pub port: usize,
+    /// The coordinate there.
+    pub coordinate: usize,
+    /// The derivative by dual numbers.
+    pub derivative: f64,
+    /// The central difference.
+    pub difference: f64,
+}
+
+/// Holds a residual's derivatives against central differences at `x`, one slice per port.
+///
+/// `tolerance` is relative to the larger of the derivative and one; 1e-6 suits smooth residuals.
+///
+/// # Errors
+///
+/// The first derivative that differs, or is not finite.
+///
+/// # Panics
+///
+/// Where `x` does not match the residual's ports.
+pub fn check_residual<R: Residual>(residual: &R, x: &[&[f64]], tolerance: f64) -> Result<(), DerivativeMismatch> {
+    let dimensions = residual.dimensions();
+    assert!(x.iter().map(|x| x.len()).eq(dimensions.iter().copied()), "one slice per port, of its dimension");
+    let mut point: Vec<f64> = x.concat();
+    let (m, n) = (residual.noise().dimension(), point.len());
+    let model = ResidualModel(Borrowed(residual));
+    let (mut value, mut jacobian) = (vec![0.0; m], vec![0.0; m * n]);
+    model.linearise(&point, &mut value, &mut jacobian);
+    let mut column = 0;
+    for (port, &dimension) in dimensions.iter().enumerate() {
+        for coordinate in 0..dimension {
+            let centre = point[column];
+            let step = f64::EPSILON.cbrt() * centre.abs().max(1.0);
+            let (mut above, mut below) = (vec![0.0; m], vec![0.0; m]);
+            point[column] = centre + step;
+            model.evaluate(&point, &mut above);
+            point[column] = centre - step;
+            model.evaluate(&point, &mut below);
+            point[column] = centre;
+            for component in 0..m {
+                let mut rise = above[component] - below[component];
+                if residual.angles().contains(&component) {
+                    rise = sumprod_graph::wrap_angle(rise);
+                }
+                let difference = rise / (2.0 * step);
+                let derivative = jacobian[component * n + column];
+                let allowed = tolerance * derivative.abs().max(1.0);
+                if !((derivative - difference).abs() <= allowed) {
+                    return Err(DerivativeMismatch { component, port, coordinate, derivative, difference });
+                }
+            }
+            column += 1;
+        }
+    }
+    Ok(())
+}
+
+/// A residual by reference, so that checking does not take it.
+struct Borrowed<'a, R>(&'a R);
+
+impl<R: Residual> Residual for Borrowed<'_, R> {
+    fn dimensions(&self) -> &[usize] {
+        self.0.dimensions()
+    }
+
+    fn residual<T: crate::Real>(&self, x: &[&[T]], out: &mut [T]) {
+        self.0.residual(x, out);
+    }
+
+    fn noise(&self) -> &crate::Noise {
+        self.0.noise()
+    }
+
+    fn angles(&self) -> &[usize] {
+        self.0.angles()
+    }
+}

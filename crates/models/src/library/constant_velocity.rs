@@ -1,0 +1,87 @@
+//! Constant velocity in any number of axes, state [x, vx, y, vy, ...].
+
+use crate::{Motion, ProcessNoise, Real};
+use sumprod_graph::MessageError;
+
+/// x' = x + v T, v' = v, with process noise in one of two forms.
+#[derive(Clone, Debug)]
+pub struct ConstantVelocity {
+    axes: usize,
+    interval: f64,
+    noise: ProcessNoise,
+}
+
+impl ConstantVelocity {
+    /// White acceleration of power spectral density q (m²/s³) in continuous time: per axis
+    /// Q = q [T³/3, T²/2; T²/2, T] (Bar-Shalom, Li and Kirubarajan 2001, section 6.2.2).
+    ///
+    /// # Errors
+    ///
+    /// Where `density` or `interval` is not positive and finite.
+    pub fn white_acceleration(axes: usize, interval: f64, density: f64) -> Result<Self, MessageError> {
+        positive("the density of the acceleration", density)?;
+        positive("the interval", interval)?;
+        let t = interval;
+        // Cholesky factor of [T³/3, T²/2; T²/2, T].
+        let lower = [(t.powi(3) / 3.0).sqrt(), 0.0, 0.5 * (3.0 * t).sqrt(), 0.5 * t.sqrt()];
+        Self::with_factor(axes, interval, &lower, 2, density)
+    }
+
+    /// An acceleration w of variance `variance` (m²/s⁴) held over each interval: x' = F x + G w, per axis
+    /// G = [T²/2; T]. Its covariance has rank one per axis (Fan, Wang and Zhou 2018, section 3).
+    ///
+    /// # Errors
+    ///
+    /// Where `variance` or `interval` is not positive and finite.
+    pub fn held_acceleration(axes: usize, interval: f64, variance: f64) -> Result<Self, MessageError> {
+        positive("the variance of the acceleration", variance)?;
+        positive("the interval", interval)?;
+        Self::with_factor(axes, interval, &[0.5 * interval * interval, interval], 1, variance)
+    }
+
+    /// Repeats one axis's noise factor (2 by `sources`) for every axis.
+    fn with_factor(
+        axes: usize,
+        interval: f64,
+        factor: &[f64],
+        sources: usize,
+        variance: f64,
+    ) -> Result<Self, MessageError> {
+        let width = axes * sources;
+        let mut gain = vec![0.0; 2 * axes * width];
+        for axis in 0..axes {
+            for row in 0..2 {
+                for source in 0..sources {
+                    gain[(2 * axis + row) * width + axis * sources + source] = factor[row * sources + source];
+                }
+            }
+        }
+        let mut covariance = vec![0.0; width * width];
+        (0..width).for_each(|k| covariance[k * width + k] = variance);
+        Ok(Self { axes, interval, noise: ProcessNoise::driven(&gain, &covariance)? })
+    }
+}
+
+fn positive(what: &'static str, value: f64) -> Result<(), MessageError> {
+    if value > 0.0 && value.is_finite() {
+        return Ok(());
+    }
+    Err(MessageError::NotPositiveDefinite { what, pivot: 0, value })
+}
+
+impl Motion for ConstantVelocity {
+    fn dimension(&self) -> usize {
+        2 * self.axes
+    }
+
+    fn step<T: Real>(&self, state: &[T], next: &mut [T]) {
+        for (from, to) in state.chunks_exact(2).zip(next.chunks_exact_mut(2)) {
+            to[0] = from[0] + from[1] * self.interval;
+            to[1] = from[1];
+        }
+    }
+
+    fn noise(&self, _state: &[f64]) -> ProcessNoise {
+        self.noise.clone()
+    }
+}

@@ -1,0 +1,144 @@
+//! The wrapper that makes one set of rules a factor of every family.
+
+use crate::Rules;
+use crate::rules::View;
+use sumprod_graph::{Factor, Incoming, MessageError, Port, Stream};
+use sumprod_messages::{
+    AnyForm, AnyMessage, DynamicGaussian, Gaussian, GaussianFamily, GaussianForm, ParticleFamily, Particles,
+    ParticlesForm,
+};
+
+/// Rules as a factor of every family; [`crate::AddModel`] puts it on.
+#[derive(Clone, Debug)]
+pub struct Model<T>(pub T);
+
+impl<T: Rules> Model<T> {
+    fn gaussian_into<M: GaussianFamily>(
+        &self,
+        to: Port,
+        incoming: &Incoming<'_, M>,
+        form: GaussianForm,
+        out: &mut M,
+    ) -> Result<(), MessageError> {
+        let draft = self.0.gaussian(to, &View { incoming, form })?;
+        out.write_information(incoming.belief(to), &draft.information, &draft.vector, draft.loss)
+    }
+
+    fn particles_into<M: ParticleFamily>(
+        &self,
+        to: Port,
+        incoming: &Incoming<'_, M>,
+        form: &ParticlesForm,
+        stream: &mut Stream,
+        out: &mut M,
+    ) -> Result<(), MessageError> {
+        let view = View { incoming, form: GaussianForm::default() };
+        out.write_particles(incoming.belief(to), |particles| self.0.particles(to, &view, form, stream, particles))
+    }
+}
+
+macro_rules! gaussian_factor {
+    ($family:ty $(, $dimension:ident)?) => {
+        impl<T: Rules $(, const $dimension: usize)?> Factor<$family> for Model<T> {
+            fn dimensions(&self) -> &[usize] {
+                self.0.dimensions()
+            }
+
+            fn message(
+                &self,
+                to: Port,
+                incoming: &Incoming<'_, $family>,
+                form: &GaussianForm,
+                stream: &mut Stream,
+            ) -> Result<$family, MessageError> {
+                let mut out = <$family>::default();
+                self.message_into(to, incoming, form, stream, &mut out)?;
+                Ok(out)
+            }
+
+            fn message_into(
+                &self,
+                to: Port,
+                incoming: &Incoming<'_, $family>,
+                form: &GaussianForm,
+                _stream: &mut Stream,
+                out: &mut $family,
+            ) -> Result<(), MessageError> {
+                self.gaussian_into(to, incoming, *form, out)
+            }
+
+            fn is_constant(&self) -> bool {
+                self.0.is_constant()
+            }
+        }
+    };
+}
+
+gaussian_factor!(Gaussian<D>, D);
+gaussian_factor!(DynamicGaussian);
+
+impl<T: Rules> Factor<Particles> for Model<T> {
+    fn dimensions(&self) -> &[usize] {
+        self.0.dimensions()
+    }
+
+    fn message(
+        &self,
+        to: Port,
+        incoming: &Incoming<'_, Particles>,
+        form: &ParticlesForm,
+        stream: &mut Stream,
+    ) -> Result<Particles, MessageError> {
+        let mut out = Particles::default();
+        self.message_into(to, incoming, form, stream, &mut out)?;
+        Ok(out)
+    }
+
+    fn message_into(
+        &self,
+        to: Port,
+        incoming: &Incoming<'_, Particles>,
+        form: &ParticlesForm,
+        stream: &mut Stream,
+        out: &mut Particles,
+    ) -> Result<(), MessageError> {
+        self.particles_into(to, incoming, form, stream, out)
+    }
+}
+
+impl<T: Rules> Factor<AnyMessage> for Model<T> {
+    fn dimensions(&self) -> &[usize] {
+        self.0.dimensions()
+    }
+
+    fn message(
+        &self,
+        to: Port,
+        incoming: &Incoming<'_, AnyMessage>,
+        form: &AnyForm,
+        stream: &mut Stream,
+    ) -> Result<AnyMessage, MessageError> {
+        let mut out = incoming.belief(to).clone();
+        self.message_into(to, incoming, form, stream, &mut out)?;
+        Ok(out)
+    }
+
+    fn message_into(
+        &self,
+        to: Port,
+        incoming: &Incoming<'_, AnyMessage>,
+        form: &AnyForm,
+        stream: &mut Stream,
+        out: &mut AnyMessage,
+    ) -> Result<(), MessageError> {
+        match form {
+            AnyForm::Gaussian(form) => self.gaussian_into(to, incoming, *form, out),
+            AnyForm::Particles(form) => self.particles_into(to, incoming, form, stream, out),
+        }
+    }
+
+    fn is_constant(&self) -> bool {
+        self.0.is_constant()
+    }
+}
+

@@ -1,0 +1,321 @@
+//! Motions: a state's step from one time to the next, and its process noise.
+//!
+//! x' = f(x) + B z, z ~ N(0, I). The process covariance B B' may be singular: nothing here inverts it.
+
+use crate::dual::{Lanes, differentiate};
+use crate::rules::particles::Guided;
+use crate::rules::{GaussianDraft, GaussianView, ParticleView};
+use crate::small::{Matrix, Vector, multiply, multiply_add, solve, symmetrise, transpose, zero_vector, zeros};
+use crate::{Real, Rules};
+use smallvec::SmallVec;
+use sumprod_graph::{MessageError, Port, Stream};
+use sumprod_messages::{Cholesky, Particles, ParticlesForm};
+
+/// Process noise by a factor B (state by sources, row-major): covariance B B'.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ProcessNoise {
+    dimension: usize,
+    sources: usize,
+    factor: SmallVec<[f64; 16]>,
+}
+
+impl ProcessNoise {
+    /// Noise that enters through a gain: covariance G Q G', `gain` state by sources and `covariance` of the
+    /// sources, both row-major.
+    ///
+    /// # Errors
+    ///
+    /// Where the sources' covariance is not positive definite or sizes do not agree.
+    pub fn driven(gain: &[f64], covariance: &[f64]) -> Result<Self, MessageError> {
+        let sources = covariance.len().isqrt();
+        if sources == 0 || sources * sources != covariance.len() || !gain.len().is_multiple_of(sources) {
+            let (found, expected) = (gain.len(), sources);
+            return Err(MessageError::Dimension { what: "the gain of the process noise", found, expected });
+        }
+        let dimension = gain.len() / sources;
+        let lower = Cholesky::new(covariance, sources, "the process noise")?;
+        let mut factor = SmallVec::from_elem(0.0, dimension * sources);
+        for column in 0..sources {
+            let (mut unit, mut scaled) = (zero_vector(sources), zero_vector(sources));
+            unit[column] = 1.0;
+            lower.multiply_lower(&unit, &mut scaled);
+            for row in 0..dimension {
+                factor[row * sources + column] = (0..sources).map(|k| gain[row * sources + k] * scaled[k]).sum();
+            }
+        }
+        Ok(Self { dimension, sources, factor })
+    }
+
+    /// Noise of this covariance (row-major), which may be singular.
+    ///
+    /// # Errors
+    ///
+    /// Where it is not symmetric positive semidefinite.
+    pub fn from_covariance(covariance: &[f64]) -> Result<Self, MessageError> {
+        let d = covariance.len().isqrt();
+        if d * d != covariance.len() {
+            let (found, expected) = (covariance.len(), d * d);
+            return Err(MessageError::Dimension { what: "the process noise", found, expected });
+        }
+        if let Some(&value) = covariance.iter().find(|value| !value.is_finite()) {
+            return Err(MessageError::NotFinite { what: "an entry of the process noise", value });
+        }
+        let eigen = nalgebra::DMatrix::from_row_slice(d, d, covariance).symmetric_eigen();
+        let largest = eigen.eigenvalues.amax();
+        let mut factor = SmallVec::from_elem(0.0, d * d);
+        for (column, &value) in eigen.eigenvalues.iter().enumerate() {
+            if value < -1e-12 * largest {
+                return Err(MessageError::NotPositiveDefinite { what: "the process noise", pivot: column, value });
+            }
+            for row in 0..d {
+                factor[row * d + column] = eigen.eigenvectors[(row, column)] * value.max(0.0).sqrt();
+            }
+        }
+        Ok(Self { dimension: d, sources: d, factor })
+    }
+
+    /// Independent noise of these variances, of which any may be zero.
+    ///
+    /// # Errors
+    ///
+    /// Where a variance is negative or not finite.
+    pub fn diagonal(variances: &[f64]) -> Result<Self, MessageError> {
+        let d = variances.len();
+        let mut factor = SmallVec::from_elem(0.0, d * d);
+        for (k, &variance) in variances.iter().enumerate() {
+            if !(variance >= 0.0 && variance.is_finite()) {
+                return Err(MessageError::NotPositiveDefinite { what: "the process noise", pivot: k, value: variance });
+            }
+            factor[k * d + k] = variance.sqrt();
+        }
+        Ok(Self { dimension: d, sources: d, factor })
+    }
+
+    /// Noise of the covariance B B' for this factor B (`dimension` rows, row-major).
+    pub fn from_factor(dimension: usize, factor: &[f64]) -> Self {
+        let sources = factor.len() / dimension.max(1);
+        Self { dimension, sources, factor: SmallVec::from_slice(factor) }
+    }
+
+    /// Number of state coordinates.
+    pub fn dimension(&self) -> usize {
+        self.dimension
+    }
+
+    /// Number of independent sources.
+    pub fn sources(&self) -> usize {
+        self.sources
+    }
+
+    /// The factor B, row-major.
+    pub fn factor(&self) -> &[f64] {
+        &self.factor
+    }
+
+    /// The covariance B B', row-major.
+    pub fn covariance(&self) -> Vec<f64> {
+        multiply(&self.factor, &transpose(&self.factor, self.dimension, self.sources), self.sources, self.dimension)
+            .to_vec()
+    }
+}
+
+/// What a user writes of a motion.
+pub trait Motion: Send + Sync {
+    /// Number of state coordinates.
+    fn dimension(&self) -> usize;
+
+    /// Writes the next state without noise.
+    fn step<T: Real>(&self, state: &[T], next: &mut [T]);
+
+    /// The process noise at a state.
+    fn noise(&self, state: &[f64]) -> ProcessNoise;
+}
+
+/// A motion as a factor of two ports: from the state (port 0) to the next (port 1).
+pub struct Transition<T> {
+    motion: T,
+    dimensions: [usize; 2],
+}
+
+impl<T: Motion> Transition<T> {
+    /// The factor of a motion.
+    pub fn new(motion: T) -> Self {
+        let d = motion.dimension();
+        Self { motion, dimensions: [d, d] }
+    }
+
+    /// The motion.
+    pub fn motion(&self) -> &T {
+        &self.motion
+    }
+
+    /// The next state f(x) and the Jacobian F at `x`.
+    fn linearise(&self, x: &[f64]) -> (Vector, Matrix) {
+        let d = x.len();
+        let (mut next, mut jacobian) = (zero_vector(d), zeros(d * d));
+        differentiate(x, &mut next, &mut jacobian, |x: &[Lanes], out: &mut [Lanes]| self.motion.step(x, out));
+        (next, jacobian)
+    }
+
+    /// Prediction. A proper message by its moments, mean f(x̄) + F (m - x̄) and covariance F P F' + B B'; an
+    /// improper one as (I + M B B')⁻¹ M, M = F⁻ᵀ Λ F⁻¹, for invertible F.
+    fn predict(&self, view: &dyn GaussianView) -> Result<GaussianDraft, MessageError> {
+        let d = self.dimensions[0];
+        let (mut information, mut vector) = (zeros(d * d), zero_vector(d));
+        let loss = view.message(0, &mut information, &mut vector)?;
+        let Ok(factor) = Cholesky::new(&information, d, "the message") else {
+            return self.predict_improper(view, &information, &vector, loss);
+        };
+        let mut mean = vector.clone();
+        factor.solve(&mut mean);
+        let at = point(view, 0, d)?.unwrap_or_else(|| mean.clone());
+        let (next, jacobian) = self.linearise(&at);
+        let mut covariance = zeros(d * d);
+        factor.inverse(&mut covariance);
+        let moved = multiply(&jacobian, &covariance, d, d);
+        let mut predicted = multiply(&moved, &transpose(&jacobian, d, d), d, d);
+        let noise = self.motion.noise(&at);
+        add_covariance(&noise, &mut predicted);
+        symmetrise(&mut predicted, d);
+        let mut ahead = next;
+        let offset: Vector = mean.iter().zip(&at).map(|(mean, at)| mean - at).collect();
+        multiply_add(&jacobian, &offset, d, 1, &mut ahead);
+        let factor = Cholesky::new(&predicted, d, "the predicted covariance")?;
+        let mut out = zeros(d * d);
+        factor.inverse(&mut out);
+        factor.solve(&mut ahead);
+        Ok(GaussianDraft { information: out, vector: ahead, loss })
+    }
+
+    fn predict_improper(
+        &self,
+        view: &dyn GaussianView,
+        information: &[f64],
+        vector: &[f64],
+        loss: f64,
+    ) -> Result<GaussianDraft, MessageError> {
+        let d = self.dimensions[0];
+        if information.iter().all(|&entry| entry == 0.0) {
+            return Ok(GaussianDraft { information: zeros(d * d), vector: zero_vector(d), loss });
+        }
+        let at = point(view, 0, d)?.unwrap_or_else(|| zero_vector(d));
+        let (next, jacobian) = self.linearise(&at);
+        // With y = f(x̄) + F (x - x̄): Λ in y is F⁻ᵀ Λ F⁻¹, and η follows from η - Λ x̄ at y = f(x̄).
+        let mut both = zeros(d * (d + 1));
+        let centred: Vector = {
+            let pulled = multiply(information, &at, d, 1);
+            vector.iter().zip(&pulled).map(|(eta, pull)| eta - pull).collect()
+        };
+        for row in 0..d {
+            both[row * (d + 1)..][..d].copy_from_slice(&information[row * d..][..d]);
+            both[row * (d + 1) + d] = centred[row];
+        }
+        let what = "the Jacobian of the motion";
+        solve(&mut transpose(&jacobian, d, d), d, &mut both, d + 1, what)?;
+        let left: Matrix = (0..d).flat_map(|row| both[row * (d + 1)..][..d].to_vec()).collect();
+        let mut moved = transpose(&left, d, d);
+        solve(&mut transpose(&jacobian, d, d), d, &mut moved, d, what)?;
+        let mut eta: Vector = (0..d).map(|row| both[row * (d + 1) + d]).collect();
+        symmetrise(&mut moved, d);
+        multiply_add(&moved, &next, d, 1, &mut eta);
+        let noise = self.motion.noise(&at);
+        let (information, vector) = blur(&noise, &moved, &eta)?;
+        Ok(GaussianDraft { information, vector, loss })
+    }
+
+    /// Retrodiction: the next state's message blurred by the process noise, F' (I + Λ B B')⁻¹ Λ F.
+    fn retrodict(&self, view: &dyn GaussianView) -> Result<GaussianDraft, MessageError> {
+        let d = self.dimensions[0];
+        let (mut information, mut vector) = (zeros(d * d), zero_vector(d));
+        let loss = view.message(1, &mut information, &mut vector)?;
+        if information.iter().all(|&entry| entry == 0.0) {
+            return Ok(GaussianDraft { information, vector, loss });
+        }
+        let at = point(view, 0, d)?.unwrap_or_else(|| zero_vector(d));
+        let (next, jacobian) = self.linearise(&at);
+        let noise = self.motion.noise(&at);
+        let (blurred, eta) = blur(&noise, &information, &vector)?;
+        let back = transpose(&jacobian, d, d);
+        let weighted = multiply(&back, &blurred, d, d);
+        let mut out = multiply(&weighted, &jacobian, d, d);
+        symmetrise(&mut out, d);
+        // Linear in x: next state f(x̄) - F x̄ + F x.
+        let mut offset = next;
+        let moved = multiply(&jacobian, &at, d, 1);
+        offset.iter_mut().zip(&moved).for_each(|(next, moved)| *next -= moved);
+        let pulled = multiply(&blurred, &offset, d, 1);
+        let centred: Vector = eta.iter().zip(&pulled).map(|(eta, pull)| eta - pull).collect();
+        let vector = multiply(&back, &centred, d, 1).into_iter().collect();
+        Ok(GaussianDraft { information: out, vector, loss })
+    }
+}
+
+/// The mean of the belief at a port, where it has one.
+fn point(view: &dyn GaussianView, port: Port, dimension: usize) -> Result<Option<Vector>, MessageError> {
+    let (mut information, mut mean) = (zeros(dimension * dimension), zero_vector(dimension));
+    view.belief(port, &mut information, &mut mean)?;
+    Ok(Cholesky::new(&information, dimension, "the belief").ok().map(|factor| {
+        factor.solve(&mut mean);
+        mean
+    }))
+}
+
+fn add_covariance(noise: &ProcessNoise, out: &mut [f64]) {
+    let transposed = transpose(&noise.factor, noise.dimension, noise.sources);
+    multiply_add(&noise.factor, &transposed, noise.sources, noise.dimension, out);
+}
+
+/// A message convolved with zero-mean noise of covariance Q = B B': (I + Λ Q)⁻¹ (Λ, η), for any rank of either.
+fn blur(noise: &ProcessNoise, information: &[f64], vector: &[f64]) -> Result<(Matrix, Vector), MessageError> {
+    let d = vector.len();
+    let mut covariance = zeros(d * d);
+    add_covariance(noise, &mut covariance);
+    let mut system = multiply(information, &covariance, d, d);
+    for k in 0..d {
+        system[k * d + k] += 1.0;
+    }
+    let mut both = zeros(d * (d + 1));
+    for row in 0..d {
+        both[row * (d + 1)..][..d].copy_from_slice(&information[row * d..][..d]);
+        both[row * (d + 1) + d] = vector[row];
+    }
+    solve(&mut system, d, &mut both, d + 1, "the message blurred by the process noise")?;
+    let mut blurred: Matrix = (0..d).flat_map(|row| both[row * (d + 1)..][..d].to_vec()).collect();
+    symmetrise(&mut blurred, d);
+    Ok((blurred, (0..d).map(|row| both[row * (d + 1) + d]).collect()))
+}
+
+impl<T: Motion> Rules for Transition<T> {
+    fn dimensions(&self) -> &[usize] {
+        &self.dimensions
+    }
+
+    fn gaussian(&self, to: Port, view: &dyn GaussianView) -> Result<GaussianDraft, MessageError> {
+        if to == 1 { self.predict(view) } else { self.retrodict(view) }
+    }
+
+    fn particles(
+        &self,
+        to: Port,
+        view: &dyn ParticleView,
+        form: &ParticlesForm,
+        stream: &mut Stream,
+        out: &mut Particles,
+    ) -> Result<f64, MessageError> {
+        if to == 0 {
+            let reason = "a motion sends no particles back in time; hold this edge as a Gaussian to smooth";
+            return Err(MessageError::Unsupported(reason.into()));
+        }
+        let (sample, loss) = view.message(0, form.count, stream)?;
+        let guide = view.gaussian(1).filter(|guide| !guide.is_flat());
+        let linear = |x: &[f64]| self.linearise(x);
+        let step = |x: &[f64], next: &mut [f64]| self.motion.step(x, next);
+        let noise = |x: &[f64]| self.motion.noise(x);
+        let prediction = Guided { step: &step, linearise: &linear, noise: &noise, coordinates: view.coordinates(1) };
+        match guide {
+            Some(guide) => prediction.guided(&sample, guide, form.count, stream, out)?,
+            None => prediction.plain(&sample, form.count, stream, out)?,
+        }
+        Ok(loss)
+    }
+}

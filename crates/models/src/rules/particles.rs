@@ -1,0 +1,364 @@
+//! Particle messages: values at the receiver's particles, and draws through a motion.
+
+use crate::residual::ResidualModel;
+use crate::rules::{GaussianDraft, GaussianView, ParticleView, Rules, linearised};
+use crate::small::{Matrix, Vector, multiply, symmetrise, transpose, zero_vector, zeros};
+use crate::{Linearised, ProcessNoise, Residual};
+use rand::RngExt;
+use rand_distr::{Distribution, StandardNormal};
+use smallvec::SmallVec;
+use sumprod_graph::{Coordinate, FastStream, MessageError, Port, Space, Stream, wrap_angle};
+use sumprod_messages::{Cholesky, DynamicGaussian, Particles, ParticlesForm};
+
+impl<R: Residual> Rules for ResidualModel<R> {
+    fn dimensions(&self) -> &[usize] {
+        self.0.dimensions()
+    }
+
+    fn gaussian(&self, to: Port, view: &dyn GaussianView) -> Result<GaussianDraft, MessageError> {
+        linearised::message(self, to, view)
+    }
+
+    /// At the receiver's particles xₙ, the log of Σₘ wₘ p(r(xₙ, yₘ)) over the senders' particles yₘ (particle
+    /// belief propagation); where the receiver has none yet, draws from the port's sampler.
+    fn particles(
+        &self,
+        to: Port,
+        view: &dyn ParticleView,
+        form: &ParticlesForm,
+        stream: &mut Stream,
+        out: &mut Particles,
+    ) -> Result<f64, MessageError> {
+        let (senders, mut loss) = self.senders(to, view, form, stream)?;
+        let drawn;
+        let carrier = match (view.particles(to), self.0.sampler(to), view.gaussian(to)) {
+            (Some(particles), ..) => particles,
+            (None, Some(_), _) => return self.sample(to, view, form, &senders, stream, out).map(|()| loss),
+            (None, None, Some(belief)) if !belief.is_flat() => {
+                let space = Space::new(view.coordinates(to).to_vec());
+                let belief = sumprod_messages::AnyMessage::from_gaussian(&space, belief.clone())?;
+                let (particles, cost) = belief.to_particles(form.count, stream)?;
+                loss += cost;
+                drawn = particles;
+                &drawn
+            }
+            _ => {
+                let reason = "the receiver has no particles to evaluate at and this port has no sampler; give the \
+                              variable a prior, or this edge a Gaussian form";
+                return Err(MessageError::Unsupported(reason.into()));
+            }
+        };
+        out.become_likelihood(carrier, |log_values| {
+            self.evaluate_at(to, carrier, &senders, log_values);
+            Ok(())
+        })?;
+        Ok(loss)
+    }
+
+    fn is_constant(&self) -> bool {
+        false
+    }
+}
+
+/// Equally weighted draws of all senders, one joint draw after the other; no draws where there is no sender.
+struct Senders {
+    draws: usize,
+    /// Per port: the draws, point by point; empty at the receiving port.
+    points: SmallVec<[Vec<f64>; 3]>,
+}
+
+impl<R: Residual> ResidualModel<R> {
+    fn senders(
+        &self,
+        to: Port,
+        view: &dyn ParticleView,
+        form: &ParticlesForm,
+        stream: &mut Stream,
+    ) -> Result<(Senders, f64), MessageError> {
+        let arity = self.0.dimensions().len();
+        let draws = form.senders.unwrap_or(form.count).min(form.count);
+        let mut points = SmallVec::new();
+        let mut loss = 0.0;
+        let mut random = stream.fast();
+        for port in 0..arity {
+            if port == to {
+                points.push(Vec::new());
+                continue;
+            }
+            let (sample, cost) = view.message(port, draws, stream)?;
+            loss += cost;
+            if sample.is_empty() {
+                let reason = "a sender says nothing of its variable yet; give it a prior";
+                return Err(MessageError::Unsupported(reason.into()));
+            }
+            let mut chosen = select(sample.log_weights(), draws, &mut random);
+            if arity > 2 {
+                // Systematic draws come in the order of the particles: two senders' must not be paired by it.
+                for last in (1..chosen.len()).rev() {
+                    chosen.swap(last, random.random_range(0..=last));
+                }
+            }
+            points.push(chosen.iter().flat_map(|&index| sample.point(index as usize).iter().copied()).collect());
+        }
+        Ok((Senders { draws: if arity == 1 { 1 } else { draws }, points }, loss))
+    }
+
+    fn evaluate_at(&self, to: Port, carrier: &Particles, senders: &Senders, log_values: &mut [f64]) {
+        let dimensions = self.0.dimensions();
+        let mut residual = zero_vector(self.noise().dimension());
+        let mut logs: SmallVec<[f64; 128]> = SmallVec::from_elem(0.0, senders.draws);
+        for (value, point) in log_values.iter_mut().zip(carrier.points().chunks_exact(carrier.dimension())) {
+            let mut largest = f64::NEG_INFINITY;
+            for (draw, log) in logs.iter_mut().enumerate() {
+                let mut x: SmallVec<[&[f64]; 3]> = SmallVec::new();
+                for (port, &dimension) in dimensions.iter().enumerate() {
+                    x.push(if port == to { point } else { &senders.points[port][draw * dimension..][..dimension] });
+                }
+                *log = self.log_value(&x, &mut residual);
+                largest = largest.max(*log);
+            }
+            *value = if largest == f64::NEG_INFINITY {
+                largest
+            } else {
+                let sum: f64 = logs.iter().map(|log| (log - largest).exp()).sum();
+                largest + (sum / senders.draws as f64).ln()
+            };
+        }
+    }
+
+    fn sample(
+        &self,
+        to: Port,
+        view: &dyn ParticleView,
+        form: &ParticlesForm,
+        senders: &Senders,
+        stream: &mut Stream,
+        out: &mut Particles,
+    ) -> Result<(), MessageError> {
+        let Some(sampler) = self.0.sampler(to) else { return Ok(()) };
+        let dimensions = self.0.dimensions();
+        let own = zero_vector(dimensions[to]);
+        let mut random = stream.fast();
+        let space = Space::new(view.coordinates(to).to_vec());
+        out.become_sample(view.coordinates(to), form.count, |points, _| {
+            for (draw, point) in points.chunks_exact_mut(dimensions[to]).enumerate() {
+                let draw = draw % senders.draws;
+                let others: SmallVec<[&[f64]; 3]> = dimensions
+                    .iter()
+                    .enumerate()
+                    .map(|(port, &d)| if port == to { &own[..] } else { &senders.points[port][draw * d..][..d] })
+                    .collect();
+                sampler.sample(&others, point, &mut random);
+                space.wrap(point);
+            }
+            Ok(())
+        })
+    }
+}
+
+/// Systematic selection of `count` indices in proportion to exp(log weight); nondecreasing.
+pub(crate) fn select(log_weights: &[f64], count: usize, random: &mut FastStream) -> Vec<u32> {
+    let largest = log_weights.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    let total: f64 = log_weights.iter().map(|log| (log - largest).exp()).sum();
+    let step = total / count as f64;
+    let mut target = step * random.random::<f64>();
+    let mut chosen = Vec::with_capacity(count);
+    let mut reached = 0.0;
+    for (index, log) in log_weights.iter().enumerate() {
+        reached += (log - largest).exp();
+        while target < reached && chosen.len() < count {
+            chosen.push(index as u32);
+            target += step;
+        }
+    }
+    // Rounding of the running sum may leave the last ones undrawn.
+    let last = chosen.last().copied().unwrap_or(0);
+    chosen.resize(count, last);
+    chosen
+}
+
+/// Share of the draws that ignore the guide, which bounds every weight by its reciprocal.
+const DEFENSIVE: f64 = 0.2;
+/// Power of the guide: its information is halved, so that its tails are wider than the truth's.
+const TEMPERING: f64 = 0.5;
+
+/// Draws of a predicted state.
+pub(crate) struct Guided<'a> {
+    pub(crate) step: &'a dyn Fn(&[f64], &mut [f64]),
+    pub(crate) linearise: &'a dyn Fn(&[f64]) -> (Vector, Matrix),
+    pub(crate) noise: &'a dyn Fn(&[f64]) -> ProcessNoise,
+    pub(crate) coordinates: &'a [Coordinate],
+}
+
+impl Guided<'_> {
+    fn wrap(&self, point: &mut [f64]) {
+        for (x, _) in point.iter_mut().zip(self.coordinates).filter(|(_, kind)| **kind == Coordinate::Angle) {
+            *x = wrap_angle(*x);
+        }
+    }
+
+    /// One draw of f(x) + B z per particle, ancestors chosen systematically by weight.
+    pub(crate) fn plain(
+        &self,
+        sample: &Particles,
+        count: usize,
+        stream: &mut Stream,
+        out: &mut Particles,
+    ) -> Result<(), MessageError> {
+        if sample.is_empty() {
+            return Err(nothing_to_predict());
+        }
+        let mut random = stream.fast();
+        let ancestors = select(sample.log_weights(), count, &mut random);
+        let d = sample.dimension();
+        out.become_sample(self.coordinates, count, |points, _| {
+            for (point, &ancestor) in points.chunks_exact_mut(d).zip(&ancestors) {
+                let from = sample.point(ancestor as usize);
+                (self.step)(from, point);
+                add_noise(&(self.noise)(from), point, &mut random);
+                self.wrap(point);
+            }
+            Ok(())
+        })
+    }
+
+    /// Draws of the prediction through a guide g(x) = exp(-½ x'Λx + η'x), what is known of the receiver.
+    ///
+    /// The prediction is a mixture of kernels N(cᵢ, S): cᵢ the step of particle i, shrunk towards the mean so that
+    /// the kernels' own width does not add to the spread (West 1993), S = h² F P F' + B B'. Ancestors are chosen
+    /// by wᵢ Zᵢ, Zᵢ = ∫ N(x; cᵢ, S) g(x) dx, and x drawn from that product; a fixed share is drawn from the kernels
+    /// alone. The weight 1 / (α + (1 - α) g(x) / Z̄) makes it a sample of the prediction again.
+    pub(crate) fn guided(
+        &self,
+        sample: &Particles,
+        guide: &DynamicGaussian,
+        count: usize,
+        stream: &mut Stream,
+        out: &mut Particles,
+    ) -> Result<(), MessageError> {
+        if sample.is_empty() {
+            return Err(nothing_to_predict());
+        }
+        let d = sample.dimension();
+        let Kernels { centres, shape } = self.kernels(sample)?;
+        let guide = guide.power(TEMPERING);
+        let (mut information, mut eta) = (zeros(d * d), zero_vector(d));
+        guide.write_matrix(&mut information);
+        eta.copy_from_slice(guide.information_vector());
+
+        let spread = Cholesky::new(&shape, d, "the kernel of the prediction")?;
+        let mut precision = zeros(d * d);
+        spread.inverse(&mut precision);
+        let mut posterior = precision.clone();
+        posterior.iter_mut().zip(&information).for_each(|(a, b)| *a += b);
+        symmetrise(&mut posterior, d);
+        let posterior = Cholesky::new(&posterior, d, "the guided kernel")?;
+        let half_log_ratio = -0.5 * (posterior.log_determinant() + spread.log_determinant());
+        let mut means = vec![0.0; centres.len()];
+        let mut chances = Vec::with_capacity(sample.len());
+        for ((centre, mean), log_weight) in
+            centres.chunks_exact(d).zip(means.chunks_exact_mut(d)).zip(sample.log_weights())
+        {
+            let pull = multiply(&precision, centre, d, 1);
+            let own: f64 = centre.iter().zip(&pull).map(|(c, p)| c * p).sum();
+            let total: Vector = pull.iter().zip(&eta).map(|(p, e)| p + e).collect();
+            mean.copy_from_slice(&total);
+            posterior.solve(mean);
+            let joint: f64 = mean.iter().zip(&total).map(|(m, t)| m * t).sum();
+            chances.push(log_weight + half_log_ratio + 0.5 * (joint - own));
+        }
+        let log_total = log_sum(&chances);
+
+        let mut random = stream.fast();
+        let plain = (DEFENSIVE * count as f64).round() as usize;
+        let guided = select(&chances, count - plain, &mut random);
+        let defensive = select(sample.log_weights(), plain, &mut random);
+        let share = plain as f64 / count as f64;
+        out.become_sample(self.coordinates, count, |points, log_weights| {
+            let ancestors = guided.iter().map(|&i| (i, true)).chain(defensive.iter().map(|&i| (i, false)));
+            for ((point, log_weight), (ancestor, is_guided)) in
+                points.chunks_exact_mut(d).zip(log_weights).zip(ancestors)
+            {
+                let mut z: Vector = (0..d).map(|_| StandardNormal.sample(&mut random)).collect();
+                let start = ancestor as usize * d;
+                if is_guided {
+                    // With posterior precision L L', L'⁻¹ z has its inverse as covariance.
+                    posterior.solve_upper(&mut z);
+                    point.iter_mut().zip(&means[start..]).zip(&z).for_each(|((x, mean), z)| *x = mean + z);
+                } else {
+                    spread.multiply_lower(&z, point);
+                    point.iter_mut().zip(&centres[start..]).for_each(|(x, centre)| *x += centre);
+                }
+                let favour = (guide.log_value(point) - log_total).exp();
+                *log_weight = -(share + (1.0 - share) * favour).ln();
+                self.wrap(point);
+            }
+            Ok(())
+        })
+    }
+
+    fn kernels(&self, sample: &Particles) -> Result<Kernels, MessageError> {
+        let d = sample.dimension();
+        let moments = sample.moments();
+        let width = (4.0 / ((d as f64 + 2.0) * sample.effective_sample_size())).powf(1.0 / (d as f64 + 4.0)).min(1.0);
+        let shrink = (1.0 - width * width).sqrt();
+        let mut centres = vec![0.0; sample.len() * d];
+        let mut pulled = zero_vector(d);
+        let reference = {
+            let mut next = zero_vector(d);
+            (self.step)(&moments.mean, &mut next);
+            next
+        };
+        for (centre, point) in centres.chunks_exact_mut(d).zip(sample.points().chunks_exact(d)) {
+            for (k, pulled) in pulled.iter_mut().enumerate() {
+                let mut offset = point[k] - moments.mean[k];
+                if self.coordinates[k] == Coordinate::Angle {
+                    offset = wrap_angle(offset);
+                }
+                *pulled = moments.mean[k] + shrink * offset;
+            }
+            (self.step)(&pulled, centre);
+            for (k, x) in centre.iter_mut().enumerate() {
+                if self.coordinates[k] == Coordinate::Angle {
+                    *x = reference[k] + wrap_angle(*x - reference[k]);
+                }
+            }
+        }
+        let (_, jacobian) = (self.linearise)(&moments.mean);
+        let moved = multiply(&jacobian, &moments.covariance, d, d);
+        let mut shape = multiply(&moved, &transpose(&jacobian, d, d), d, d);
+        shape.iter_mut().for_each(|entry| *entry *= width * width);
+        let noise = (self.noise)(&moments.mean).covariance();
+        shape.iter_mut().zip(&noise).for_each(|(entry, noise)| *entry += noise);
+        for k in 0..d {
+            let entry = &mut shape[k * d + k];
+            *entry += 1e-9 * *entry + 1e-12;
+        }
+        symmetrise(&mut shape, d);
+        Ok(Kernels { centres, shape })
+    }
+}
+
+struct Kernels {
+    centres: Vec<f64>,
+    shape: Matrix,
+}
+
+fn nothing_to_predict() -> MessageError {
+    MessageError::Unsupported("the state to predict from has no particles; give it a prior".into())
+}
+
+fn add_noise(noise: &ProcessNoise, point: &mut [f64], random: &mut FastStream) {
+    let sources = noise.sources();
+    for source in 0..sources {
+        let z: f64 = StandardNormal.sample(random);
+        for (x, row) in point.iter_mut().zip(noise.factor().chunks_exact(sources)) {
+            *x += row[source] * z;
+        }
+    }
+}
+
+fn log_sum(logs: &[f64]) -> f64 {
+    let largest = logs.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    largest + logs.iter().map(|log| (log - largest).exp()).sum::<f64>().ln()
+}
