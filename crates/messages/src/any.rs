@@ -250,6 +250,11 @@ fn gaussian_to_particles(
     let exact = gaussian.moments()?;
     let mut drawn = particles.moments();
     floor_diagonal(&mut drawn.covariance, exact.dimension());
+    for ((drawn, exact), kind) in drawn.mean.iter_mut().zip(&exact.mean).zip(coordinates.iter()) {
+        if *kind == Coordinate::Angle {
+            *drawn = exact + sumprod_graph::wrap_angle(*drawn - exact);
+        }
+    }
     let loss = if count > exact.dimension() { gaussian_divergence(&exact, &drawn)? } else { f64::INFINITY };
     Ok((particles, loss))
 }

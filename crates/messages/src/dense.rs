@@ -19,9 +19,14 @@ impl Cholesky {
     ///
     /// # Errors
     ///
-    /// [`MessageError::NotPositiveDefinite`] naming `what` and the pivot.
+    /// [`MessageError::NotPositiveDefinite`] naming `what` and the pivot; [`MessageError::Dimension`] where the
+    /// matrix has too few entries.
     pub fn new(matrix: &[f64], dimension: usize, what: &'static str) -> Result<Self, MessageError> {
-        let mut factor: SmallVec<[f64; 36]> = SmallVec::from_slice(&matrix[..dimension * dimension]);
+        let Some(entries) = matrix.get(..dimension * dimension) else {
+            let (found, expected) = (matrix.len(), dimension * dimension);
+            return Err(MessageError::Dimension { what, found, expected });
+        };
+        let mut factor: SmallVec<[f64; 36]> = SmallVec::from_slice(entries);
         for row in 0..dimension {
             for column in 0..=row {
                 let (a, b) = (row * dimension, column * dimension);

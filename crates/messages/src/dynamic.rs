@@ -221,6 +221,7 @@ impl DynamicGaussian {
 
 impl Message for DynamicGaussian {
     type Form = GaussianForm;
+    const ALWAYS_DIVIDES: bool = true;
 
     fn vacuous(space: &Space) -> Self {
         Self::flat(space.dimension())

@@ -96,8 +96,12 @@ impl<const D: usize> Gaussian<D> {
     ///
     /// # Errors
     ///
-    /// Where the covariance is not positive definite: a direction known exactly has no information form.
+    /// Where the mean is not finite, or the covariance is not positive definite: a direction known exactly has no
+    /// information form.
     pub fn from_moments(mean: SVector<f64, D>, covariance: SMatrix<f64, D, D>) -> Result<Self, MessageError> {
+        if let Some(&value) = mean.iter().find(|value| !value.is_finite()) {
+            return Err(MessageError::NotFinite { what: "an entry of the mean", value });
+        }
         let information = invert(&covariance, "the covariance")?;
         Ok(Self { information, vector: information * mean })
     }
@@ -258,12 +262,15 @@ pub(crate) fn information_change(
     let mut largest: f64 = 0.0;
     for row in 0..dimension {
         let own = new.0(row, row).abs().max(old.0(row, row).abs());
+        let (now, before) = (new.1(row), old.1(row));
+        let shift = not_below(0.0, (now - before).abs() - ROUNDING * (now.abs() + before.abs()));
         if own == 0.0 {
+            if shift.is_nan() || (0..row).any(|column| new.0(row, column).is_nan()) {
+                return f64::NAN;
+            }
             continue;
         }
         let scale = 1.0 / own;
-        let (now, before) = (new.1(row), old.1(row));
-        let shift = ((now - before).abs() - ROUNDING * (now.abs() + before.abs())).max(0.0);
         largest = not_below(largest, shift * shift * scale);
         for column in 0..=row {
             let other = new.0(column, column).abs().max(old.0(column, column).abs());
@@ -287,6 +294,7 @@ fn not_below(a: f64, b: f64) -> f64 {
 
 impl<const D: usize> Message for Gaussian<D> {
     type Form = GaussianForm;
+    const ALWAYS_DIVIDES: bool = true;
 
     fn vacuous(_space: &Space) -> Self {
         Self::default()

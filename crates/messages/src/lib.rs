@@ -22,4 +22,4 @@ pub use dense::Cholesky;
 pub use dynamic::DynamicGaussian;
 pub use gaussian::{Gaussian, GaussianFamily, GaussianForm, Linearisation};
 pub use moments::{Moments, gaussian_divergence};
-pub use particles::{Particles, ParticlesForm, Role};
+pub use particles::{Particles, ParticlesForm, Proposal, Role};

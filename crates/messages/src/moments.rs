@@ -30,9 +30,13 @@ impl Moments {
 ///
 /// # Errors
 ///
-/// Where a covariance is not positive definite.
+/// Where a covariance is not positive definite, or the dimensions differ.
 pub fn gaussian_divergence(p: &Moments, q: &Moments) -> Result<f64, MessageError> {
     let d = p.dimension();
+    if q.dimension() != d {
+        let what = "the second distribution";
+        return Err(MessageError::Dimension { what, found: q.dimension(), expected: d });
+    }
     let (of_p, of_q) = (
         Cholesky::new(&p.covariance, d, "the covariance of the first distribution")?,
         Cholesky::new(&q.covariance, d, "the covariance of the second distribution")?,

@@ -11,6 +11,22 @@ use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 use sumprod_graph::{Coordinate, Message, MessageError, Messages, Quality, Space, Stream, wrap_angle};
 
+/// Where the points of a predicted state are drawn from, where something is known of it already (a guide: the
+/// belief's start, or the product of Gaussian messages that have come first).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Proposal {
+    /// From the motion alone.
+    Prediction,
+    /// From the motion times a widened guide, a share from the motion alone, and smoothed by a kernel: safe where
+    /// the guide is approximate. The weights make it a sample of the prediction again.
+    #[default]
+    Informed,
+    /// From the motion times the guide as it is: the optimal proposal where the guide is the exact product of all
+    /// other messages, and then the product's weights are equal.
+    Optimal,
+}
+
 /// How an edge holds particles.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -20,6 +36,9 @@ pub struct ParticlesForm {
     /// Number of the sender's particles that a pointwise message averages over; all where absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub senders: Option<usize>,
+    /// Where predicted points are drawn from.
+    #[serde(default)]
+    pub proposal: Proposal,
 }
 
 impl Default for ParticlesForm {
@@ -31,7 +50,7 @@ impl Default for ParticlesForm {
 impl ParticlesForm {
     /// `count` particles, averaging over all of the sender's.
     pub fn new(count: usize) -> Self {
-        Self { count, senders: None }
+        Self { count, senders: None, proposal: Proposal::default() }
     }
 }
 
@@ -59,6 +78,7 @@ pub(crate) struct Support {
 #[derive(Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Particles {
     pub(crate) support: Arc<Support>,
+    #[serde(with = "zero_weights")]
     pub(crate) log_weights: Vec<f64>,
     pub(crate) role: Role,
 }
@@ -86,6 +106,9 @@ impl Particles {
         let Space::Continuous(coordinates) = space else {
             return Err(MessageError::Unsupported("particles need a continuous variable".into()));
         };
+        if coordinates.is_empty() {
+            return Err(MessageError::Unsupported("particles need a variable with coordinates".into()));
+        }
         let (found, expected) = (points.len(), coordinates.len() * log_weights.len());
         if found != expected {
             return Err(MessageError::Dimension { what: "the particles' points", found, expected });
@@ -229,14 +252,15 @@ impl Particles {
         weights
     }
 
-    /// Effective sample size (Σw)² / Σw², between one and the number of particles.
+    /// Effective sample size (Σw)² / Σw², between one and the number of particles; zero where no weight is
+    /// positive.
     pub fn effective_sample_size(&self) -> f64 {
         let largest = self.largest_log_weight();
         let (sum, squares) = self.log_weights.iter().fold((0.0, 0.0), |(sum, squares), log| {
             let weight = (log - largest).exp();
             (sum + weight, squares + weight * weight)
         });
-        sum * sum / squares
+        if squares > 0.0 { sum * sum / squares } else { 0.0 }
     }
 
     /// Weighted mean; angles by the direction of the mean vector.
@@ -245,7 +269,7 @@ impl Particles {
         let d = self.dimension();
         (0..d)
             .map(|coordinate| {
-                let values = weights.iter().zip(self.support.points[coordinate..].iter().step_by(d));
+                let values = weights.iter().zip(self.support.points.iter().skip(coordinate).step_by(d));
                 match self.support.coordinates[coordinate] {
                     Coordinate::Real => values.map(|(weight, x)| weight * x).sum(),
                     Coordinate::Angle => {
@@ -294,7 +318,7 @@ impl Particles {
         let d = self.dimension();
         let kind = *self.support.coordinates.get(coordinate)?;
         let centre = if kind == Coordinate::Angle { self.mean()[coordinate] } else { 0.0 };
-        let values = self.support.points[coordinate..].iter().step_by(d);
+        let values = self.support.points.iter().skip(coordinate).step_by(d);
         let place = |x: f64| if kind == Coordinate::Angle { centre + wrap_angle(x - centre) } else { x };
         let mut sorted: Vec<(f64, f64)> = values.map(|&x| place(x)).zip(self.weights()).collect();
         sorted.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -308,7 +332,7 @@ impl Particles {
         sorted.last().map(|last| last.0)
     }
 
-    /// Share of points that differ from all others.
+    /// Number of different points over the number of points; zero where there is none.
     pub fn distinct_fraction(&self) -> f64 {
         let d = self.dimension().max(1);
         let mut order: Vec<&[f64]> = self.support.points.chunks_exact(d).collect();
@@ -321,7 +345,7 @@ impl Particles {
         };
         order.sort_by(compare);
         order.dedup();
-        order.len() as f64 / self.len() as f64
+        order.len() as f64 / self.len().max(1) as f64
     }
 
     /// Whether both are carried by the same points.
@@ -382,11 +406,25 @@ impl Particles {
     }
 }
 
+/// Log weights in formats that know no infinity: a weight of zero is written as none.
+mod zero_weights {
+    use serde::{Deserialize, Deserializer, Serializer};
+
+    pub(super) fn serialize<S: Serializer>(log_weights: &[f64], serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_seq(log_weights.iter().map(|&log| (log != f64::NEG_INFINITY).then_some(log)))
+    }
+
+    pub(super) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<f64>, D::Error> {
+        let log_weights = Vec::<Option<f64>>::deserialize(deserializer)?;
+        Ok(log_weights.into_iter().map(|log| log.unwrap_or(f64::NEG_INFINITY)).collect())
+    }
+}
+
 /// Which of several messages carries the product: a sample before a likelihood, and among those the one whose
 /// points most others share; the first of equals.
 pub(crate) fn carrier<'a>(messages: impl Iterator<Item = &'a Particles> + Clone) -> Option<&'a Particles> {
     let score = |particles: &Particles| {
-        let shared = messages.clone().filter(|other| Arc::ptr_eq(&other.support, &particles.support)).count();
+        let shared = messages.clone().filter(|other| other.same_support(particles)).count();
         (particles.role == Role::Sample, shared)
     };
     let mut best: Option<(&Particles, (bool, usize))> = None;
@@ -471,6 +509,10 @@ impl Message for Particles {
         }
         if self.same_support(previous) {
             let (a, b) = (self.largest_log_weight(), previous.largest_log_weight());
+            if a == f64::NEG_INFINITY || b == f64::NEG_INFINITY {
+                // No weight at all: whoever multiplies will say so.
+                return if self.log_weights == previous.log_weights { 0.0 } else { 1.0 };
+            }
             let totals = |log_weights: &[f64], largest: f64| -> f64 {
                 log_weights.iter().map(|log| (log - largest).exp()).sum()
             };
@@ -513,6 +555,9 @@ impl Message for Particles {
             return Err("the number of senders is 0; it must be at least 1".into());
         }
         match space {
+            Space::Continuous(coordinates) if coordinates.is_empty() => {
+                Err("particles cannot hold a variable without coordinates".into())
+            }
             Space::Continuous(_) => Ok(()),
             Space::Finite(states) => Err(format!("particles cannot hold a variable of {states} states")),
         }

@@ -33,7 +33,11 @@ pub struct DerivativeMismatch {
 /// # Panics
 ///
 /// Where `x` does not match the residual's ports.
-pub fn check_residual<R: Residual>(residual: &R, x: &[&[f64]], tolerance: f64) -> Result<(), DerivativeMismatch> {
+pub fn check_residual<R: Residual>(
+    residual: &R,
+    x: &[&[f64]],
+    tolerance: f64,
+) -> Result<(), DerivativeMismatch> {
     let dimensions = residual.dimensions();
     assert!(x.iter().map(|x| x.len()).eq(dimensions.iter().copied()), "one slice per port, of its dimension");
     let mut point: Vec<f64> = x.concat();

@@ -119,11 +119,13 @@ impl Rules for Cluster {
         out: &mut Particles,
     ) -> Result<f64, MessageError> {
         let Some(carrier) = view.particles(to) else {
-            let reason = "a cluster is evaluated at the joint variable's particles, but it has none; give it a prior";
+            let reason =
+                "a cluster is evaluated at the joint variable's particles, but it has none; give it a prior";
             return Err(MessageError::Unsupported(reason.into()));
         };
         out.become_likelihood(carrier, |log_values| {
-            for (value, point) in log_values.iter_mut().zip(carrier.points().chunks_exact(self.dimension[0])) {
+            for (value, point) in log_values.iter_mut().zip(carrier.points().chunks_exact(self.dimension[0]))
+            {
                 *value = self.parts.iter().map(|part| part.log_value(point)).sum();
             }
             Ok(())

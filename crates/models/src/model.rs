@@ -33,7 +33,9 @@ impl<T: Rules> Model<T> {
         out: &mut M,
     ) -> Result<(), MessageError> {
         let view = View { incoming, form: GaussianForm::default() };
-        out.write_particles(incoming.belief(to), |particles| self.0.particles(to, &view, form, stream, particles))
+        out.write_particles(incoming.belief(to), |particles| {
+            self.0.particles(to, &view, form, stream, particles)
+        })
     }
 }
 
@@ -141,4 +143,3 @@ impl<T: Rules> Factor<AnyMessage> for Model<T> {
         self.0.is_constant()
     }
 }
-

@@ -5,11 +5,13 @@
 use crate::dual::{Lanes, differentiate};
 use crate::rules::particles::Guided;
 use crate::rules::{GaussianDraft, GaussianView, ParticleView};
-use crate::small::{Matrix, Vector, multiply, multiply_add, solve, symmetrise, transpose, zero_vector, zeros};
+use crate::small::{
+    Matrix, Vector, multiply, multiply_add, solve, symmetrise, transpose, zero_vector, zeros,
+};
 use crate::{Real, Rules};
 use smallvec::SmallVec;
 use sumprod_graph::{MessageError, Port, Stream};
-use sumprod_messages::{Cholesky, Particles, ParticlesForm};
+use sumprod_messages::{Cholesky, Particles, ParticlesForm, Proposal};
 
 /// Process noise by a factor B (state by sources, row-major): covariance B B'.
 #[derive(Clone, Debug, PartialEq)]
@@ -40,7 +42,8 @@ impl ProcessNoise {
             unit[column] = 1.0;
             lower.multiply_lower(&unit, &mut scaled);
             for row in 0..dimension {
-                factor[row * sources + column] = (0..sources).map(|k| gain[row * sources + k] * scaled[k]).sum();
+                factor[row * sources + column] =
+                    (0..sources).map(|k| gain[row * sources + k] * scaled[k]).sum();
             }
         }
         Ok(Self { dimension, sources, factor })
@@ -65,7 +68,11 @@ impl ProcessNoise {
         let mut factor = SmallVec::from_elem(0.0, d * d);
         for (column, &value) in eigen.eigenvalues.iter().enumerate() {
             if value < -1e-12 * largest {
-                return Err(MessageError::NotPositiveDefinite { what: "the process noise", pivot: column, value });
+                return Err(MessageError::NotPositiveDefinite {
+                    what: "the process noise",
+                    pivot: column,
+                    value,
+                });
             }
             for row in 0..d {
                 factor[row * d + column] = eigen.eigenvectors[(row, column)] * value.max(0.0).sqrt();
@@ -84,7 +91,11 @@ impl ProcessNoise {
         let mut factor = SmallVec::from_elem(0.0, d * d);
         for (k, &variance) in variances.iter().enumerate() {
             if !(variance >= 0.0 && variance.is_finite()) {
-                return Err(MessageError::NotPositiveDefinite { what: "the process noise", pivot: k, value: variance });
+                return Err(MessageError::NotPositiveDefinite {
+                    what: "the process noise",
+                    pivot: k,
+                    value: variance,
+                });
             }
             factor[k * d + k] = variance.sqrt();
         }
@@ -114,8 +125,13 @@ impl ProcessNoise {
 
     /// The covariance B B', row-major.
     pub fn covariance(&self) -> Vec<f64> {
-        multiply(&self.factor, &transpose(&self.factor, self.dimension, self.sources), self.sources, self.dimension)
-            .to_vec()
+        multiply(
+            &self.factor,
+            &transpose(&self.factor, self.dimension, self.sources),
+            self.sources,
+            self.dimension,
+        )
+        .to_vec()
     }
 }
 
@@ -307,13 +323,15 @@ impl<T: Motion> Rules for Transition<T> {
             return Err(MessageError::Unsupported(reason.into()));
         }
         let (sample, loss) = view.message(0, form.count, stream)?;
-        let guide = view.gaussian(1).filter(|guide| !guide.is_flat());
+        let guide =
+            view.gaussian(1).filter(|guide| !guide.is_flat() && form.proposal != Proposal::Prediction);
         let linear = |x: &[f64]| self.linearise(x);
         let step = |x: &[f64], next: &mut [f64]| self.motion.step(x, next);
         let noise = |x: &[f64]| self.motion.noise(x);
-        let prediction = Guided { step: &step, linearise: &linear, noise: &noise, coordinates: view.coordinates(1) };
+        let prediction =
+            Guided { step: &step, linearise: &linear, noise: &noise, coordinates: view.coordinates(1) };
         match guide {
-            Some(guide) => prediction.guided(&sample, guide, form.count, stream, out)?,
+            Some(guide) => prediction.guided(&sample, guide, form, stream, out)?,
             None => prediction.plain(&sample, form.count, stream, out)?,
         }
         Ok(loss)

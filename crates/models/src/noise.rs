@@ -102,8 +102,9 @@ impl Noise {
         let (d, nu) = (self.dimension as f64, degrees_of_freedom);
         self.degrees_of_freedom = Some(nu);
         let gaussian = self.log_normaliser + 0.5 * d * TAU.ln();
-        self.log_normaliser =
-            gaussian + log_gamma(0.5 * (nu + d)) - log_gamma(0.5 * nu) - 0.5 * d * (nu * std::f64::consts::PI).ln();
+        self.log_normaliser = gaussian + log_gamma(0.5 * (nu + d))
+            - log_gamma(0.5 * nu)
+            - 0.5 * d * (nu * std::f64::consts::PI).ln();
         Ok(self)
     }
 
@@ -179,7 +180,10 @@ fn log_gamma(x: f64) -> f64 {
         return (PI / (PI * x).sin()).ln() - log_gamma(1.0 - x);
     }
     let x = x - 1.0;
-    let series = COEFFICIENTS[1..].iter().enumerate().fold(COEFFICIENTS[0], |sum, (k, c)| sum + c / (x + k as f64 + 1.0));
+    let series = COEFFICIENTS[1..]
+        .iter()
+        .enumerate()
+        .fold(COEFFICIENTS[0], |sum, (k, c)| sum + c / (x + k as f64 + 1.0));
     let t = x + 7.5;
     0.5 * TAU.ln() + (x + 0.5) * t.ln() - t + series.ln()
 }
@@ -195,7 +199,8 @@ mod tests {
         for (noise, reach, tolerance) in [(gaussian, 40.0, 1e-9), (student, 4000.0, 1e-6)] {
             let step = 0.01;
             let count = (2.0 * reach / step) as usize;
-            let sum: f64 = (0..count).map(|k| noise.log_density(&[-reach + (k as f64 + 0.5) * step]).exp() * step).sum();
+            let sum: f64 =
+                (0..count).map(|k| noise.log_density(&[-reach + (k as f64 + 0.5) * step]).exp() * step).sum();
             assert!((sum - 1.0).abs() < tolerance, "{sum}");
         }
     }

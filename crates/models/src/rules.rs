@@ -5,7 +5,9 @@ pub(crate) mod particles;
 
 use smallvec::SmallVec;
 use sumprod_graph::{Coordinate, Incoming, MessageError, Port, Stream};
-use sumprod_messages::{DynamicGaussian, GaussianFamily, GaussianForm, ParticleFamily, Particles, ParticlesForm};
+use sumprod_messages::{
+    DynamicGaussian, GaussianFamily, GaussianForm, ParticleFamily, Particles, ParticlesForm,
+};
 
 /// What a Gaussian rule sees of the messages and beliefs at a factor's ports, whatever their family.
 pub trait GaussianView {
@@ -46,7 +48,12 @@ pub trait ParticleView {
     /// # Errors
     ///
     /// Where the message cannot be drawn from.
-    fn message(&self, port: Port, count: usize, stream: &mut Stream) -> Result<(Particles, f64), MessageError>;
+    fn message(
+        &self,
+        port: Port,
+        count: usize,
+        stream: &mut Stream,
+    ) -> Result<(Particles, f64), MessageError>;
 
     /// The belief at a port, where it is held by particles.
     fn particles(&self, port: Port) -> Option<&Particles>;
@@ -111,7 +118,12 @@ impl<M: GaussianFamily> GaussianView for View<'_, '_, M> {
 }
 
 impl<M: ParticleFamily> ParticleView for View<'_, '_, M> {
-    fn message(&self, port: Port, count: usize, stream: &mut Stream) -> Result<(Particles, f64), MessageError> {
+    fn message(
+        &self,
+        port: Port,
+        count: usize,
+        stream: &mut Stream,
+    ) -> Result<(Particles, f64), MessageError> {
         self.incoming.message(port).read_particles(count, stream)
     }
 

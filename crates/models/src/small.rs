@@ -73,7 +73,9 @@ pub(crate) fn solve(
         let row = largest.unwrap_or(pivot);
         let value = a[row * d + pivot];
         if !(value.abs() > 0.0 && value.is_finite()) {
-            return Err(MessageError::Unsupported(format!("{what} is singular: pivot {pivot} is {value:.3e}")));
+            return Err(MessageError::Unsupported(format!(
+                "{what} is singular: pivot {pivot} is {value:.3e}"
+            )));
         }
         if row != pivot {
             for column in 0..d {

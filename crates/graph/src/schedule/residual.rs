@@ -47,11 +47,15 @@ impl Residual {
         let variable = topology.variable_of(edge);
         for into in topology.edges_of_variable(variable).filter(|&into| into != edge) {
             for next in topology.edges_of_factor(topology.factor_of(into)).filter(|&next| next != into) {
-                let priority = &mut self.priority[next.index()];
-                *priority += change;
-                self.queue.push(Entry { priority: *priority, edge: next });
+                self.raise(next, change);
             }
         }
+    }
+
+    fn raise(&mut self, edge: EdgeId, change: f64) {
+        let priority = &mut self.priority[edge.index()];
+        *priority += change;
+        self.queue.push(Entry { priority: *priority, edge });
     }
 }
 
@@ -77,6 +81,11 @@ impl Schedule for Residual {
             largest = largest.max(change);
             computed += 1;
             if change > 0.0 {
+                // A damped message is still this far from where it is going.
+                let rest = change * pass.damping() / (1.0 - pass.damping());
+                if rest > 0.0 {
+                    self.raise(entry.edge, rest);
+                }
                 self.spread(topology, entry.edge, change);
             }
         }

@@ -12,11 +12,14 @@ use crate::{EdgeId, GraphError, Topology};
 pub struct Sliced {
     rounds: usize,
     smoothing: bool,
+    evidence_first: bool,
     slices: Vec<Slice>,
 }
 
 #[derive(Clone, Debug, Default)]
 struct Slice {
+    /// Messages of factors with a single variable.
+    evidence: Vec<EdgeId>,
     prediction: Vec<EdgeId>,
     within: Vec<EdgeId>,
     /// Messages from this slice to earlier ones.
@@ -33,6 +36,14 @@ impl Sliced {
     #[must_use]
     pub fn smoothing(mut self) -> Self {
         self.smoothing = true;
+        self
+    }
+
+    /// Before the prediction, each slice hears from its factors of a single variable, so that predicted particles
+    /// can be drawn where these say. Such factors must not need a point to linearise at.
+    #[must_use]
+    pub fn evidence_first(mut self) -> Self {
+        self.evidence_first = true;
         self
     }
 }
@@ -64,6 +75,9 @@ impl Schedule for Sliced {
             let latest = edges.clone().filter_map(slice_of).max().unwrap_or(0);
             let earliest = edges.clone().filter_map(slice_of).min().unwrap_or(0);
             let slice = &mut self.slices[latest];
+            if edges.clone().count() == 1 {
+                slice.evidence.extend(edges.clone());
+            }
             for edge in edges {
                 match slice_of(edge) {
                     Some(own) if own < latest => slice.back.push(edge),
@@ -78,6 +92,9 @@ impl Schedule for Sliced {
     fn iteration(&mut self, _topology: &Topology, pass: &mut dyn Pass) -> Result<f64, GraphError> {
         let mut largest: f64 = 0.0;
         for slice in &self.slices {
+            if self.evidence_first {
+                largest = largest.max(pass.together(&slice.evidence)?);
+            }
             largest = largest.max(pass.together(&slice.prediction)?);
             for _ in 0..self.rounds {
                 largest = largest.max(pass.together(&slice.within)?);

@@ -28,7 +28,11 @@ impl LinearGaussian {
         let mut dimensions = Vec::with_capacity(matrices.len());
         for matrix in matrices {
             if rows == 0 || matrix.is_empty() || !matrix.len().is_multiple_of(rows) {
-                return Err(MessageError::Dimension { what: "a matrix", found: matrix.len(), expected: rows });
+                return Err(MessageError::Dimension {
+                    what: "a matrix",
+                    found: matrix.len(),
+                    expected: rows,
+                });
             }
             dimensions.push(matrix.len() / rows);
         }

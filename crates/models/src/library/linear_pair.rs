@@ -26,8 +26,11 @@ impl<const D: usize> LinearPair<D> {
         target: &SVector<f64, M>,
         covariance: &SMatrix<f64, M, M>,
     ) -> Result<Self, MessageError> {
-        let not_definite =
-            MessageError::NotPositiveDefinite { what: "the noise covariance", pivot: 0, value: covariance[(0, 0)] };
+        let not_definite = MessageError::NotPositiveDefinite {
+            what: "the noise covariance",
+            pivot: 0,
+            value: covariance[(0, 0)],
+        };
         let information = covariance.cholesky().ok_or(not_definite)?.inverse();
         let (weighted_a, weighted_b) = (a.transpose() * information, b.transpose() * information);
         Ok(Self {
@@ -52,7 +55,11 @@ impl<const D: usize> LinearPair<D> {
                 pivot -= system[(k, j)] * system[(k, j)];
             }
             if !(pivot > 0.0) {
-                return Err(MessageError::NotPositiveDefinite { what: "the sum over a port", pivot: k, value: pivot });
+                return Err(MessageError::NotPositiveDefinite {
+                    what: "the sum over a port",
+                    pivot: k,
+                    value: pivot,
+                });
             }
             let reciprocal = 1.0 / pivot.sqrt();
             for row in k + 1..D {

@@ -60,7 +60,13 @@ pub struct AnchorRange {
 
 impl AnchorRange {
     /// A range (m) from a variable of this dimension, its position at these coordinates, to an anchor (m).
-    pub fn new(measured: f64, anchor: [f64; 2], dimension: usize, position: [usize; 2], noise: Noise) -> Self {
+    pub fn new(
+        measured: f64,
+        anchor: [f64; 2],
+        dimension: usize,
+        position: [usize; 2],
+        noise: Noise,
+    ) -> Self {
         Self { measured, anchor, dimensions: [dimension], position, noise }
     }
 }
@@ -110,7 +116,13 @@ pub struct CalibratedRange {
 
 impl CalibratedRange {
     /// A range (m) from a variable of this dimension, its position at these coordinates, to an anchor (m).
-    pub fn new(measured: f64, anchor: [f64; 2], dimension: usize, position: [usize; 2], noise: Noise) -> Self {
+    pub fn new(
+        measured: f64,
+        anchor: [f64; 2],
+        dimension: usize,
+        position: [usize; 2],
+        noise: Noise,
+    ) -> Self {
         Self { measured, anchor, dimensions: [dimension, 2], position, noise }
     }
 }

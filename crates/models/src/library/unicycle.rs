@@ -27,7 +27,9 @@ impl Unicycle {
                 return Err(MessageError::NotFinite { what, value });
             }
         }
-        if let Some((pivot, &value)) = variances.iter().enumerate().find(|(_, v)| !(**v >= 0.0 && v.is_finite())) {
+        if let Some((pivot, &value)) =
+            variances.iter().enumerate().find(|(_, v)| !(**v >= 0.0 && v.is_finite()))
+        {
             return Err(MessageError::NotPositiveDefinite { what: "the odometry's variance", pivot, value });
         }
         Ok(Self { distance, turn, spread: variances.map(f64::sqrt) })
@@ -49,7 +51,8 @@ impl Motion for Unicycle {
     fn noise(&self, state: &[f64]) -> ProcessNoise {
         let (sine, cosine) = (state[2] + 0.5 * self.turn).sin_cos();
         let [along, across, heading] = self.spread;
-        let factor = [cosine * along, -sine * across, 0.0, sine * along, cosine * across, 0.0, 0.0, 0.0, heading];
+        let factor =
+            [cosine * along, -sine * across, 0.0, sine * along, cosine * across, 0.0, 0.0, 0.0, heading];
         ProcessNoise::from_factor(3, &factor)
     }
 }

@@ -88,7 +88,8 @@ fn settle(
         };
         let mut mean = Vector::from_slice(&draft.vector);
         factor.solve(&mut mean);
-        let step: f64 = mean.iter().zip(&beliefs[to].mean).map(|(new, old)| (new - old).abs()).fold(0.0, f64::max);
+        let step: f64 =
+            mean.iter().zip(&beliefs[to].mean).map(|(new, old)| (new - old).abs()).fold(0.0, f64::max);
         let size: f64 = mean.iter().map(|x| x.abs()).fold(1.0, f64::max);
         beliefs[to].mean = mean;
         *draft = at_beliefs(model, to, view, beliefs, parts)?;
@@ -362,7 +363,10 @@ fn eliminate_improper(
     let kept: Vec<usize> = parts[to].clone().collect();
     let others: Vec<usize> = (0..n).filter(|index| !parts[to].contains(index)).collect();
     let pick = |rows: &[usize], columns: &[usize]| -> Matrix {
-        rows.iter().flat_map(|&r| columns.iter().map(move |&c| (r, c))).map(|(r, c)| information[r * n + c]).collect()
+        rows.iter()
+            .flat_map(|&r| columns.iter().map(move |&c| (r, c)))
+            .map(|(r, c)| information[r * n + c])
+            .collect()
     };
     let inverse = pseudo_inverse(&pick(&others, &others), others.len());
     let cross = pick(&kept, &others);

@@ -2,13 +2,13 @@
 
 use crate::residual::ResidualModel;
 use crate::rules::{GaussianDraft, GaussianView, ParticleView, Rules, linearised};
-use crate::small::{Matrix, Vector, multiply, symmetrise, transpose, zero_vector, zeros};
+use crate::small::{Matrix, Vector, multiply, multiply_add, symmetrise, transpose, zero_vector, zeros};
 use crate::{Linearised, ProcessNoise, Residual};
 use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
 use smallvec::SmallVec;
 use sumprod_graph::{Coordinate, FastStream, MessageError, Port, Space, Stream, wrap_angle};
-use sumprod_messages::{Cholesky, DynamicGaussian, Particles, ParticlesForm};
+use sumprod_messages::{Cholesky, DynamicGaussian, Particles, ParticlesForm, Proposal};
 
 impl<R: Residual> Rules for ResidualModel<R> {
     fn dimensions(&self) -> &[usize] {
@@ -98,7 +98,9 @@ impl<R: Residual> ResidualModel<R> {
                     chosen.swap(last, random.random_range(0..=last));
                 }
             }
-            points.push(chosen.iter().flat_map(|&index| sample.point(index as usize).iter().copied()).collect());
+            points.push(
+                chosen.iter().flat_map(|&index| sample.point(index as usize).iter().copied()).collect(),
+            );
         }
         Ok((Senders { draws: if arity == 1 { 1 } else { draws }, points }, loss))
     }
@@ -112,7 +114,11 @@ impl<R: Residual> ResidualModel<R> {
             for (draw, log) in logs.iter_mut().enumerate() {
                 let mut x: SmallVec<[&[f64]; 3]> = SmallVec::new();
                 for (port, &dimension) in dimensions.iter().enumerate() {
-                    x.push(if port == to { point } else { &senders.points[port][draw * dimension..][..dimension] });
+                    x.push(if port == to {
+                        point
+                    } else {
+                        &senders.points[port][draw * dimension..][..dimension]
+                    });
                 }
                 *log = self.log_value(&x, &mut residual);
                 largest = largest.max(*log);
@@ -146,7 +152,11 @@ impl<R: Residual> ResidualModel<R> {
                 let others: SmallVec<[&[f64]; 3]> = dimensions
                     .iter()
                     .enumerate()
-                    .map(|(port, &d)| if port == to { &own[..] } else { &senders.points[port][draw * d..][..d] })
+                    .map(
+                        |(port, &d)| {
+                            if port == to { &own[..] } else { &senders.points[port][draw * d..][..d] }
+                        },
+                    )
                     .collect();
                 sampler.sample(&others, point, &mut random);
                 space.wrap(point);
@@ -224,71 +234,76 @@ impl Guided<'_> {
 
     /// Draws of the prediction through a guide g(x) = exp(-½ x'Λx + η'x), what is known of the receiver.
     ///
-    /// The prediction is a mixture of kernels N(cᵢ, S): cᵢ the step of particle i, shrunk towards the mean so that
-    /// the kernels' own width does not add to the spread (West 1993), S = h² F P F' + B B'. Ancestors are chosen
-    /// by wᵢ Zᵢ, Zᵢ = ∫ N(x; cᵢ, S) g(x) dx, and x drawn from that product; a fixed share is drawn from the kernels
-    /// alone. The weight 1 / (α + (1 - α) g(x) / Z̄) makes it a sample of the prediction again.
+    /// The prediction is a mixture of kernels cᵢ + B z, z ~ N(0, I), of which B may have any rank. The product with
+    /// the guide is Gaussian in z: precision P = I + B'ΛB, mean P⁻¹bᵢ with bᵢ = B'(η - Λcᵢ), and evidence
+    /// Zᵢ = |P|^-½ g(cᵢ) exp(½ bᵢ'P⁻¹bᵢ). Ancestors are chosen by wᵢZᵢ; a share α may ignore the guide. The weight
+    /// 1 / (α + (1 - α) g(x) / Z̄) makes the draws a sample of the prediction again.
     pub(crate) fn guided(
         &self,
         sample: &Particles,
         guide: &DynamicGaussian,
-        count: usize,
+        form: &ParticlesForm,
         stream: &mut Stream,
         out: &mut Particles,
     ) -> Result<(), MessageError> {
         if sample.is_empty() {
             return Err(nothing_to_predict());
         }
-        let d = sample.dimension();
-        let Kernels { centres, shape } = self.kernels(sample)?;
-        let guide = guide.power(TEMPERING);
+        let (d, count) = (sample.dimension(), form.count);
+        let informed = form.proposal == Proposal::Informed;
+        let Kernels { centres, factor } = self.kernels(sample, guide, informed)?;
+        let guide = if informed { guide.power(TEMPERING) } else { guide.clone() };
+        let sources = factor.len() / d;
         let (mut information, mut eta) = (zeros(d * d), zero_vector(d));
         guide.write_matrix(&mut information);
         eta.copy_from_slice(guide.information_vector());
-
-        let spread = Cholesky::new(&shape, d, "the kernel of the prediction")?;
-        let mut precision = zeros(d * d);
-        spread.inverse(&mut precision);
-        let mut posterior = precision.clone();
-        posterior.iter_mut().zip(&information).for_each(|(a, b)| *a += b);
-        symmetrise(&mut posterior, d);
-        let posterior = Cholesky::new(&posterior, d, "the guided kernel")?;
-        let half_log_ratio = -0.5 * (posterior.log_determinant() + spread.log_determinant());
-        let mut means = vec![0.0; centres.len()];
+        let transposed = transpose(&factor, d, sources);
+        let seen = multiply(&transposed, &information, d, d);
+        let mut precision = multiply(&seen, &factor, d, sources);
+        (0..sources).for_each(|k| precision[k * sources + k] += 1.0);
+        symmetrise(&mut precision, sources);
+        let posterior = Cholesky::new(&precision, sources, "the guided kernel")?;
+        let half_log_determinant = 0.5 * posterior.log_determinant();
+        let towards = multiply(&transposed, &eta, d, 1);
+        let mut means = vec![0.0; sample.len() * sources];
         let mut chances = Vec::with_capacity(sample.len());
-        for ((centre, mean), log_weight) in
-            centres.chunks_exact(d).zip(means.chunks_exact_mut(d)).zip(sample.log_weights())
-        {
-            let pull = multiply(&precision, centre, d, 1);
-            let own: f64 = centre.iter().zip(&pull).map(|(c, p)| c * p).sum();
-            let total: Vector = pull.iter().zip(&eta).map(|(p, e)| p + e).collect();
-            mean.copy_from_slice(&total);
+        let each = centres.chunks_exact(d).zip(means.chunks_exact_mut(sources)).zip(sample.log_weights());
+        for ((centre, mean), log_weight) in each {
+            let there = multiply(&seen, centre, d, 1);
+            let mut pull: Vector = towards.iter().zip(&there).map(|(t, s)| t - s).collect();
+            mean.copy_from_slice(&pull);
             posterior.solve(mean);
-            let joint: f64 = mean.iter().zip(&total).map(|(m, t)| m * t).sum();
-            chances.push(log_weight + half_log_ratio + 0.5 * (joint - own));
+            let gain = posterior.squared_length(&mut pull);
+            chances.push(log_weight + guide.log_value(centre) - half_log_determinant + 0.5 * gain);
         }
         let log_total = log_sum(&chances);
+        if !log_total.is_finite() {
+            let remedy = "the guide and the prediction do not overlap; use the proposal \"prediction\"";
+            return Err(MessageError::NoWeight { what: "the guided prediction", largest: log_total, remedy });
+        }
 
         let mut random = stream.fast();
-        let plain = (DEFENSIVE * count as f64).round() as usize;
+        let plain = if informed { (DEFENSIVE * count as f64).round() as usize } else { 0 };
         let guided = select(&chances, count - plain, &mut random);
         let defensive = select(sample.log_weights(), plain, &mut random);
         let share = plain as f64 / count as f64;
         out.become_sample(self.coordinates, count, |points, log_weights| {
-            let ancestors = guided.iter().map(|&i| (i, true)).chain(defensive.iter().map(|&i| (i, false)));
+            let ancestors = guided
+                .iter()
+                .map(|&i| (i as usize, true))
+                .chain(defensive.iter().map(|&i| (i as usize, false)));
+            let mut z = zero_vector(sources);
             for ((point, log_weight), (ancestor, is_guided)) in
                 points.chunks_exact_mut(d).zip(log_weights).zip(ancestors)
             {
-                let mut z: Vector = (0..d).map(|_| StandardNormal.sample(&mut random)).collect();
-                let start = ancestor as usize * d;
+                z.iter_mut().for_each(|z| *z = StandardNormal.sample(&mut random));
                 if is_guided {
-                    // With posterior precision L L', L'⁻¹ z has its inverse as covariance.
+                    // With precision L L', L'⁻¹ z has its inverse as covariance.
                     posterior.solve_upper(&mut z);
-                    point.iter_mut().zip(&means[start..]).zip(&z).for_each(|((x, mean), z)| *x = mean + z);
-                } else {
-                    spread.multiply_lower(&z, point);
-                    point.iter_mut().zip(&centres[start..]).for_each(|(x, centre)| *x += centre);
+                    z.iter_mut().zip(&means[ancestor * sources..]).for_each(|(z, mean)| *z += mean);
                 }
+                point.copy_from_slice(&centres[ancestor * d..][..d]);
+                multiply_add(&factor, &z, sources, 1, point);
                 let favour = (guide.log_value(point) - log_total).exp();
                 *log_weight = -(share + (1.0 - share) * favour).ln();
                 self.wrap(point);
@@ -297,18 +312,26 @@ impl Guided<'_> {
         })
     }
 
-    fn kernels(&self, sample: &Particles) -> Result<Kernels, MessageError> {
+    /// The kernels of the prediction. Smoothed ones are shrunk towards the mean so that their own width does not
+    /// add to the spread (West 1993): cᵢ = f(x̄ + √(1 - h²) (xᵢ - x̄)), covariance h² F P F' + the process noise's.
+    fn kernels(
+        &self,
+        sample: &Particles,
+        guide: &DynamicGaussian,
+        smoothed: bool,
+    ) -> Result<Kernels, MessageError> {
         let d = sample.dimension();
         let moments = sample.moments();
-        let width = (4.0 / ((d as f64 + 2.0) * sample.effective_sample_size())).powf(1.0 / (d as f64 + 4.0)).min(1.0);
-        let shrink = (1.0 - width * width).sqrt();
+        let (shrink, width) = if smoothed {
+            let rule = 4.0 / ((d as f64 + 2.0) * sample.effective_sample_size());
+            let width = rule.powf(1.0 / (d as f64 + 4.0)).min(1.0);
+            ((1.0 - width * width).sqrt(), width)
+        } else {
+            (1.0, 0.0)
+        };
+        let reference = self.near_turn(&moments.mean, guide);
         let mut centres = vec![0.0; sample.len() * d];
         let mut pulled = zero_vector(d);
-        let reference = {
-            let mut next = zero_vector(d);
-            (self.step)(&moments.mean, &mut next);
-            next
-        };
         for (centre, point) in centres.chunks_exact_mut(d).zip(sample.points().chunks_exact(d)) {
             for (k, pulled) in pulled.iter_mut().enumerate() {
                 let mut offset = point[k] - moments.mean[k];
@@ -324,24 +347,40 @@ impl Guided<'_> {
                 }
             }
         }
+        let noise = (self.noise)(&moments.mean);
+        if !smoothed {
+            return Ok(Kernels { centres, factor: Matrix::from_slice(noise.factor()) });
+        }
         let (_, jacobian) = (self.linearise)(&moments.mean);
         let moved = multiply(&jacobian, &moments.covariance, d, d);
         let mut shape = multiply(&moved, &transpose(&jacobian, d, d), d, d);
         shape.iter_mut().for_each(|entry| *entry *= width * width);
-        let noise = (self.noise)(&moments.mean).covariance();
-        shape.iter_mut().zip(&noise).for_each(|(entry, noise)| *entry += noise);
-        for k in 0..d {
-            let entry = &mut shape[k * d + k];
-            *entry += 1e-9 * *entry + 1e-12;
-        }
+        shape.iter_mut().zip(&noise.covariance()).for_each(|(entry, noise)| *entry += noise);
         symmetrise(&mut shape, d);
-        Ok(Kernels { centres, shape })
+        let factor = Matrix::from_slice(ProcessNoise::from_covariance(&shape)?.factor());
+        Ok(Kernels { centres, factor })
+    }
+
+    /// The predicted mean, angles on the turn nearest the guide's mean where it has one.
+    fn near_turn(&self, mean: &[f64], guide: &DynamicGaussian) -> Vector {
+        let mut reference = zero_vector(mean.len());
+        (self.step)(mean, &mut reference);
+        let mut guided = zero_vector(mean.len());
+        if guide.mean_into(&mut guided).is_ok() {
+            for (k, x) in reference.iter_mut().enumerate() {
+                if self.coordinates[k] == Coordinate::Angle {
+                    *x = guided[k] + wrap_angle(*x - guided[k]);
+                }
+            }
+        }
+        reference
     }
 }
 
 struct Kernels {
     centres: Vec<f64>,
-    shape: Matrix,
+    /// State by sources, row-major.
+    factor: Matrix,
 }
 
 fn nothing_to_predict() -> MessageError {
