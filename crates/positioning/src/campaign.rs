@@ -94,16 +94,8 @@ impl<'a, S: Scenario> Campaign<'a, S> {
                 Some(outcome)
             })
             .collect();
-        let mut results = Vec::with_capacity(total);
-        let mut skipped = false;
-        for outcome in outcomes {
-            match outcome {
-                Some(outcome) => results.push(outcome?),
-                None => skipped = true,
-            }
-        }
-        debug_assert!(!skipped, "a run is skipped only after another failed");
-        Ok(results)
+        // A run is left out only after another failed, and then that failure is what is returned.
+        outcomes.into_iter().flatten().collect()
     }
 
     fn one(&self, run: u32) -> Result<RunResult, PositioningError> {

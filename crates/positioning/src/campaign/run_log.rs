@@ -25,7 +25,7 @@ pub struct Fingerprint {
     pub scenario: serde_json::Value,
 }
 
-#[derive(Serialize, Deserialize)]
+#[derive(Debug, Serialize, Deserialize)]
 struct Header {
     version: u32,
     fingerprint: Fingerprint,
@@ -38,7 +38,7 @@ pub enum LogState {
     New,
     /// It had this many whole runs.
     Resumed(usize),
-    /// It belonged to another scenario or program, and was started afresh.
+    /// It belongs to another scenario or program, and the first finished run replaces it.
     Replaced,
 }
 
@@ -49,17 +49,19 @@ pub struct RunLog {
     file: File,
     state: LogState,
     finished: Vec<RunResult>,
+    /// Still to be written: a campaign that fails at once leaves what it found.
+    header: Option<Header>,
 }
 
 impl RunLog {
-    /// Opens or creates the log and reads the runs that belong to `fingerprint`. O(size of the file).
+    /// Opens or creates the log and reads the runs that belong to `fingerprint`. Until the first run is appended a
+    /// log of another fingerprint is left as it is, and a new one is empty. O(size of the file).
     ///
     /// # Errors
     /// [`PositioningError::File`] if it cannot be opened, read or written; [`PositioningError::InUse`] if another
     /// process holds it.
     pub fn open(path: &Path, fingerprint: &Fingerprint) -> Result<Self, PositioningError> {
         let fail = |doing, source| PositioningError::File { path: path.to_path_buf(), doing, source };
-        let existed = path.exists();
         let file = OpenOptions::new()
             .read(true)
             .write(true)
@@ -75,8 +77,10 @@ impl RunLog {
             Err(TryLockError::Error(source)) if source.kind() == std::io::ErrorKind::Unsupported => {}
             Err(TryLockError::Error(source)) => return Err(fail("lock", source)),
         }
+        let held_something = file.metadata().map_err(|source| fail("read", source))?.len() > 0;
         let kept = read(&file, fingerprint).map_err(|source| fail("read", source))?;
-        let mut log = Self { path: path.to_path_buf(), file, state: LogState::New, finished: Vec::new() };
+        let mut log =
+            Self { path: path.to_path_buf(), file, state: LogState::New, finished: Vec::new(), header: None };
         match kept {
             Some((length, finished)) => {
                 log.cut(length)?;
@@ -84,9 +88,8 @@ impl RunLog {
                 log.finished = finished;
             }
             None => {
-                log.state = if existed { LogState::Replaced } else { LogState::New };
-                log.cut(0)?;
-                log.line(&Header { version: VERSION, fingerprint: fingerprint.clone() })?;
+                log.state = if held_something { LogState::Replaced } else { LogState::New };
+                log.header = Some(Header { version: VERSION, fingerprint: fingerprint.clone() });
             }
         }
         Ok(log)
@@ -107,6 +110,10 @@ impl RunLog {
     /// # Errors
     /// [`PositioningError::File`].
     pub fn append(&mut self, result: &RunResult) -> Result<(), PositioningError> {
+        if let Some(header) = self.header.take() {
+            self.cut(0)?;
+            self.line(&header)?;
+        }
         self.line(result)
     }
 

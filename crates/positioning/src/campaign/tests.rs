@@ -162,8 +162,13 @@ fn another_scenario_starts_afresh() {
     campaign(&Toy::new(None), 2).run(Some(log), &|_, _| {}).unwrap();
     let log = RunLog::open(&scratch.0, &fingerprint("y")).unwrap();
     assert_eq!(log.state(), LogState::Replaced);
+    campaign(&Toy::new(Some(0)), 2).run(Some(log), &|_, _| {}).unwrap_err();
+    let log = RunLog::open(&scratch.0, &fingerprint("x")).unwrap();
+    assert_eq!(log.state(), LogState::Resumed(2), "a failure at once leaves what it found");
     drop(log);
-    assert_eq!(RunLog::open(&scratch.0, &fingerprint("y")).unwrap().state(), LogState::Resumed(0));
+    let log = RunLog::open(&scratch.0, &fingerprint("y")).unwrap();
+    campaign(&Toy::new(None), 1).run(Some(log), &|_, _| {}).unwrap();
+    assert_eq!(RunLog::open(&scratch.0, &fingerprint("y")).unwrap().state(), LogState::Resumed(1));
 }
 
 #[test]

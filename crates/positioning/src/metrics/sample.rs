@@ -137,8 +137,8 @@ pub(super) fn one_sidedness(samples: &[Sample], axes: usize) -> Option<f64> {
     let mut sums: BTreeMap<(usize, u32), ([f64; 3], usize)> = BTreeMap::new();
     for sample in samples {
         let (signs, count) = sums.entry((sample.run, sample.node)).or_default();
-        for axis in 0..axes {
-            signs[axis] += sample.signs[axis];
+        for (sum, sign) in signs.iter_mut().zip(sample.signs) {
+            *sum += sign;
         }
         *count += 1;
     }

@@ -1,0 +1,96 @@
+//! The output folder: opened before anything is computed, its files written whole or not at all.
+
+mod estimates;
+mod json;
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use sumprod_positioning::PositioningError;
+use sumprod_positioning::campaign::{Fingerprint, RunLog};
+use sumprod_positioning::metrics::Report;
+use sumprod_positioning::results::RunResult;
+use sumprod_positioning::scenario::Output;
+
+use crate::failure::Failure;
+use crate::plots;
+
+pub use json::json;
+
+/// File of finished runs within the folder.
+const RUN_LOG: &str = "runs.jsonl";
+
+/// A folder that can be written to. One that was made for a command that then finishes no run is removed again.
+pub struct Folder {
+    path: PathBuf,
+    made: bool,
+}
+
+impl Folder {
+    /// Makes the folder if it is not there.
+    ///
+    /// # Errors
+    /// It cannot be made, or is no folder.
+    pub fn open(path: &Path) -> Result<Self, Failure> {
+        let made = !path.exists();
+        fs::create_dir_all(path).map_err(|error| unwritable(path, &error))?;
+        Ok(Self { path: path.to_path_buf(), made })
+    }
+
+    /// Opens the file of finished runs, which shows as well that the folder can be written to.
+    ///
+    /// # Errors
+    /// The folder cannot be written to, or another command is using it.
+    pub fn run_log(&self, fingerprint: &Fingerprint) -> Result<RunLog, Failure> {
+        RunLog::open(&self.path.join(RUN_LOG), fingerprint).map_err(|error| match error {
+            PositioningError::File { source, .. } => unwritable(&self.path, &source),
+            other => other.into(),
+        })
+    }
+
+    /// Writes one file: to a temporary name first, then renamed.
+    fn write(&self, name: &str, contents: &str) -> Result<(), Failure> {
+        let temporary = self.path.join(format!(".{name}.tmp"));
+        let target = self.path.join(name);
+        fs::write(&temporary, contents).and_then(|()| fs::rename(&temporary, &target)).map_err(|error| {
+            // The first error is the one worth telling; what is left is only a hidden file.
+            let _ = fs::remove_file(&temporary);
+            Failure::running(format!("cannot write {}: {error}", target.display()))
+        })
+    }
+}
+
+impl Drop for Folder {
+    fn drop(&mut self) {
+        let log = self.path.join(RUN_LOG);
+        if fs::metadata(&log).is_ok_and(|metadata| metadata.len() == 0) {
+            // Nothing was finished; a leftover empty file would do no harm.
+            let _ = fs::remove_file(&log);
+            if self.made {
+                let _ = fs::remove_dir(&self.path);
+            }
+        }
+    }
+}
+
+fn unwritable(path: &Path, error: &std::io::Error) -> Failure {
+    let reason = error.to_string();
+    let reason = reason.split(" (os error").next().unwrap_or(&reason);
+    Failure::input(format!("--out {}: cannot write there ({reason}); choose another folder", path.display()))
+}
+
+/// Writes the metrics, and the estimates and plots as `wanted` says.
+///
+/// # Errors
+/// A file that cannot be written, or a plot that cannot be drawn.
+pub fn write(folder: &Folder, wanted: &Output, report: &Report, runs: &[RunResult]) -> Result<(), Failure> {
+    if wanted.estimates {
+        folder.write("estimates.csv", &estimates::csv(runs))?;
+    }
+    if wanted.plots {
+        for (name, svg) in plots::draw(report, runs, wanted)? {
+            folder.write(name, &svg)?;
+        }
+    }
+    folder.write("metrics.json", &(json(report)? + "\n"))
+}

@@ -1,0 +1,65 @@
+//! The one list of systems: which Rust type reads and runs the scenario files of which `system`.
+
+use sumprod_positioning::scenario::Scenario;
+
+use crate::document::Document;
+use crate::failure::Failure;
+
+/// Something to do with a scenario, whichever its system.
+pub trait Action {
+    /// What it yields.
+    type Output;
+
+    /// Does it.
+    fn on<S: Scenario>(self, document: &Document) -> Result<Self::Output, Failure>;
+}
+
+/// Names of the systems.
+pub const SYSTEMS: &[&str] = &[
+    #[cfg(test)]
+    crate::testing::Walk::SYSTEM,
+];
+
+/// Does `action` with the system that the scenario names. A new system is one arm here and one name above.
+pub fn dispatch<A: Action>(document: &Document, action: A) -> Result<A::Output, Failure> {
+    match document.system()? {
+        #[cfg(test)]
+        crate::testing::Walk::SYSTEM => action.on::<crate::testing::Walk>(document),
+        unknown => {
+            let problem =
+                format!("is \"{unknown}\", which does not exist; choose one of {}", SYSTEMS.join(", "));
+            Err(document.wrong("system", &problem))
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    struct Name;
+
+    impl Action for Name {
+        type Output = &'static str;
+
+        fn on<S: Scenario>(self, _: &Document) -> Result<&'static str, Failure> {
+            Ok(S::SYSTEM)
+        }
+    }
+
+    #[test]
+    fn every_listed_system_is_dispatched_to_itself() {
+        for system in SYSTEMS {
+            let document = Document::parse("file.toml", &format!("system = \"{system}\""), &[]).unwrap();
+            assert_eq!(dispatch(&document, Name).unwrap(), *system);
+        }
+    }
+
+    #[test]
+    fn an_unknown_system_is_named() {
+        let document = Document::parse("file.toml", "runs = 1\nsystem = \"moon\"", &[]).unwrap();
+        let failure = dispatch(&document, Name).unwrap_err();
+        assert!(failure.sentence().starts_with("file.toml:2: `system` is \"moon\", which does not exist"));
+        assert_eq!(failure.status(), 2);
+    }
+}

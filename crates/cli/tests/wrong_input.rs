@@ -1,0 +1,88 @@
+//! Wrong input to the program: one sentence on standard error, exit status 2, nothing written.
+
+// A test's helper may panic: that is how the test fails.
+#![allow(clippy::expect_used)]
+
+use std::fs;
+use std::path::PathBuf;
+use std::process::{Command, Output};
+
+fn sumprod(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_sumprod")).args(arguments).output().expect("the program starts")
+}
+
+fn refused(arguments: &[&str]) -> String {
+    let output = sumprod(arguments);
+    let message = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(2), "{message}");
+    assert!(output.stdout.is_empty(), "nothing on standard output");
+    assert!(message.starts_with("error: "), "{message}");
+    message
+}
+
+/// A scenario file of its own for one test, removed when dropped.
+struct File(PathBuf);
+
+impl File {
+    fn new(name: &str, text: &str) -> Self {
+        let path = std::env::temp_dir().join(format!("sumprod-{}-{name}.toml", std::process::id()));
+        fs::write(&path, text).expect("a temporary file");
+        Self(path)
+    }
+
+    fn name(&self) -> &str {
+        self.0.to_str().expect("a path in UTF-8")
+    }
+}
+
+impl Drop for File {
+    fn drop(&mut self) {
+        let _ = fs::remove_file(&self.0);
+    }
+}
+
+#[test]
+fn an_unknown_scenario_is_named() {
+    let message = refused(&["run", "no-such-scenario"]);
+    assert!(message.contains("no-such-scenario is neither a file nor a built-in scenario"), "{message}");
+    assert_eq!(message.lines().count(), 1, "{message}");
+}
+
+#[test]
+fn a_broken_file_is_refused_with_its_line() {
+    let file = File::new("broken", "system = \"p-mpa\"\n[world\nsteps = 3\n");
+    let message = refused(&["check", file.name()]);
+    assert!(message.contains(&format!("{}:2: this is not TOML", file.name())), "{message}");
+    assert_eq!(message.lines().count(), 1, "{message}");
+}
+
+#[test]
+fn a_system_that_does_not_exist_is_refused_before_the_output_folder_is_made() {
+    let file = File::new("system", "\nsystem = \"moon\"\n");
+    let out = std::env::temp_dir().join(format!("sumprod-{}-never-made", std::process::id()));
+    let message = refused(&["run", file.name(), "--out", out.to_str().expect("a path in UTF-8")]);
+    assert!(message.contains(":2: `system` is \"moon\", which does not exist"), "{message}");
+    assert!(!out.exists());
+}
+
+#[test]
+fn a_base_that_does_not_exist_and_a_missing_system_are_refused() {
+    let file = File::new("base", "base = \"moon\"\n");
+    assert!(refused(&["run", file.name()]).contains(":1: `base` is \"moon\""));
+    let file = File::new("empty", "runs = 3\n");
+    assert!(refused(&["run", file.name()]).contains("`system` is missing"));
+}
+
+#[test]
+fn an_override_without_a_value_is_refused() {
+    let file = File::new("override", "system = \"p-mpa\"\n");
+    let message = refused(&["run", file.name(), "--set", "world.steps"]);
+    assert!(message.contains("--set world.steps: write KEY=VALUE"), "{message}");
+}
+
+#[test]
+fn the_list_is_printed() {
+    let output = sumprod(&["list"]);
+    assert!(output.status.success());
+    assert!(String::from_utf8_lossy(&output.stdout).starts_with("scenario"));
+}
