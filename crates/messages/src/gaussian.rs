@@ -8,6 +8,7 @@ use crate::Moments;
 use crate::moments::improper;
 use nalgebra::{SMatrix, SVector};
 use serde::{Deserialize, Serialize};
+use smallvec::SmallVec;
 use sumprod_graph::{Message, MessageError, Messages, Space, Stream};
 
 /// How a nonlinear factor is made linear for a Gaussian message.
@@ -250,37 +251,34 @@ fn invert<const D: usize>(
     Ok(cholesky(matrix, what)?.inverse())
 }
 
-/// How far an information form moved, in standard deviations: the largest change of an entry of Λ relative to
-/// its diagonal, or of η relative to the square root of it. Changes at the rounding level of η count as none.
+/// Change of an information vector's entry that is rounding and no news, relative to the entry.
+const ROUNDING: f64 = 16.0 * f64::EPSILON;
+
+/// The share of a change in an information form that one row sees, squared; see [`information_change`].
 #[inline]
+fn shift(now: f64, before: f64, scale: f64) -> f64 {
+    let moved = ((now - before).abs() - ROUNDING * (now.abs() + before.abs())).max(0.0);
+    // A maximum would drop a NaN, a sum keeps it.
+    moved * moved * scale + 0.0 * now
+}
+
+/// How far an information form moved, in standard deviations: the largest change of an entry of Λ relative to
+/// the roots of its two diagonal entries, or of η relative to the root of its own. Changes at the rounding level
+/// of η count as none.
 pub(crate) fn information_change(
     dimension: usize,
     new: (impl Fn(usize, usize) -> f64, impl Fn(usize) -> f64),
     old: (impl Fn(usize, usize) -> f64, impl Fn(usize) -> f64),
 ) -> f64 {
-    const ROUNDING: f64 = 16.0 * f64::EPSILON;
+    let mut scales: SmallVec<[f64; 6]> = SmallVec::with_capacity(dimension);
     let mut largest: f64 = 0.0;
     for row in 0..dimension {
         let own = new.0(row, row).abs().max(old.0(row, row).abs());
-        let (now, before) = (new.1(row), old.1(row));
-        let shift = not_below(0.0, (now - before).abs() - ROUNDING * (now.abs() + before.abs()));
-        if own == 0.0 {
-            if shift.is_nan() || (0..row).any(|column| new.0(row, column).is_nan()) {
-                return f64::NAN;
-            }
-            continue;
-        }
-        let scale = 1.0 / own;
-        largest = not_below(largest, shift * shift * scale);
+        scales.push(if own > 0.0 { 1.0 / own } else { 0.0 });
+        largest = not_below(largest, shift(new.1(row), old.1(row), scales[row]));
         for column in 0..=row {
-            let other = new.0(column, column).abs().max(old.0(column, column).abs());
             let difference = new.0(row, column) - old.0(row, column);
-            let product = difference * difference * scale;
-            if product > 0.0 {
-                largest = not_below(largest, product / other);
-            } else if product.is_nan() {
-                return f64::NAN;
-            }
+            largest = not_below(largest, difference * difference * scales[row] * scales[column]);
         }
     }
     largest.sqrt()
@@ -307,10 +305,10 @@ impl<const D: usize> Message for Gaussian<D> {
         _stream: &mut Stream,
     ) -> Result<Self, MessageError> {
         let mut product = Self::default();
-        for message in incoming.iter() {
+        incoming.for_each(|message| {
             product.information += message.information;
             product.vector += message.vector;
-        }
+        });
         Ok(product)
     }
 
@@ -323,13 +321,29 @@ impl<const D: usize> Message for Gaussian<D> {
     }
 
     #[inline]
+    fn quotient_into(&self, incoming: &Self, out: &mut Self) -> bool {
+        out.information = self.information - incoming.information;
+        out.vector = self.vector - incoming.vector;
+        true
+    }
+
+    /// As [`information_change`], on columns that the compiler unrolls.
+    #[inline]
     fn change(&self, previous: &Self) -> f64 {
-        let (new, old) = (self, previous);
-        information_change(
-            D,
-            (|r, c| new.information[(r, c)], |r| new.vector[r]),
-            (|r, c| old.information[(r, c)], |r| old.vector[r]),
-        )
+        let scale: [f64; D] = std::array::from_fn(|k| {
+            let own = self.information[(k, k)].abs().max(previous.information[(k, k)].abs());
+            if own > 0.0 { 1.0 / own } else { 0.0 }
+        });
+        let mut largest: f64 = 0.0;
+        for row in 0..D {
+            let moved = shift(self.vector[row], previous.vector[row], scale[row]);
+            largest = not_below(largest, moved);
+            for column in 0..=row {
+                let difference = self.information[(row, column)] - previous.information[(row, column)];
+                largest = not_below(largest, difference * difference * (scale[row] * scale[column]));
+            }
+        }
+        largest.sqrt()
     }
 
     fn damp(&mut self, previous: &Self, damping: f64) -> bool {

@@ -35,14 +35,27 @@ impl<const D: usize> Factor<Gaussian<D>> for Displacement<D> {
         &[D, D]
     }
 
-    #[inline]
     fn message(
+        &self,
+        to: Port,
+        incoming: &Incoming<'_, Gaussian<D>>,
+        form: &GaussianForm,
+        stream: &mut Stream,
+    ) -> Result<Gaussian<D>, MessageError> {
+        let mut out = Gaussian::default();
+        self.message_into(to, incoming, form, stream, &mut out)?;
+        Ok(out)
+    }
+
+    #[inline]
+    fn message_into(
         &self,
         to: Port,
         incoming: &Incoming<'_, Gaussian<D>>,
         _form: &GaussianForm,
         _stream: &mut Stream,
-    ) -> Result<Gaussian<D>, MessageError> {
+        out: &mut Gaussian<D>,
+    ) -> Result<(), MessageError> {
         let other = incoming.message(1 - to);
         let pull = if to == 1 { self.pull } else { -self.pull };
         // Summing the other end out of the joint information [J, -J; -J, J].
@@ -54,6 +67,7 @@ impl<const D: usize> Factor<Gaussian<D>> for Displacement<D> {
         let gain = self.information * inverse;
         let information = self.information - gain * self.information;
         let vector = pull + gain * (other.information_vector() - pull);
-        Ok(Gaussian::from_information(information, vector))
+        *out = Gaussian::from_information(information, vector);
+        Ok(())
     }
 }

@@ -1,0 +1,55 @@
+//! What the benchmarks share: sizes from the command line, timing, random matrices.
+#![allow(dead_code)] // each benchmark uses a part
+
+use nalgebra::Matrix2;
+use rand::RngExt;
+use rand_xoshiro::Xoshiro256PlusPlus;
+use std::fmt;
+use std::time::Instant;
+
+/// Sizes given on the command line, or these.
+pub fn sizes(default: &[usize]) -> Vec<usize> {
+    let given: Vec<usize> = std::env::args().skip(1).filter_map(|argument| argument.parse().ok()).collect();
+    if given.is_empty() { default.to_vec() } else { given }
+}
+
+/// Seconds of repeated calls, sorted.
+pub struct Timing(Vec<f64>);
+
+impl Timing {
+    /// Times `work`, after whatever warm-up the caller did.
+    pub fn of<E>(repeats: usize, mut work: impl FnMut() -> Result<(), E>) -> Result<Self, E> {
+        let mut seconds = Vec::with_capacity(repeats);
+        for _ in 0..repeats {
+            let start = Instant::now();
+            work()?;
+            seconds.push(start.elapsed().as_secs_f64());
+        }
+        seconds.sort_by(f64::total_cmp);
+        Ok(Self(seconds))
+    }
+
+    /// The median (s).
+    pub fn median(&self) -> f64 {
+        self.0[self.0.len() / 2]
+    }
+
+    /// The least (s).
+    pub fn least(&self) -> f64 {
+        self.0[0]
+    }
+}
+
+impl fmt::Display for Timing {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(formatter, "{}; least {:.3e} s, median {:.3e} s", self.0.len(), self.least(), self.median())
+    }
+}
+
+/// A random information matrix with eigenvalues between `low` and `high`.
+pub fn information(random: &mut Xoshiro256PlusPlus, low: f64, high: f64) -> Matrix2<f64> {
+    let (sine, cosine) = random.random_range(0.0..std::f64::consts::PI).sin_cos();
+    let turn = Matrix2::new(cosine, -sine, sine, cosine);
+    let stretch = Matrix2::new(random.random_range(low..high), 0.0, 0.0, random.random_range(low..high));
+    turn * stretch * turn.transpose()
+}
