@@ -11,7 +11,9 @@ const VERSION: u32 = 1;
 /// the position of every random stream.
 ///
 /// The graph itself is rebuilt by the program that resumes; a fingerprint of its structure tells whether it is
-/// the same. A resumed run equals the uninterrupted one bit for bit.
+/// the same. A resumed run equals the uninterrupted one bit for bit, under every schedule whose iterations are
+/// alike; [`crate::schedule::Residual`] starts its queue afresh. Text formats must keep every bit of a number
+/// (serde_json does so with its feature `float_roundtrip`).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Checkpoint<M> {
     version: u32,
@@ -19,6 +21,7 @@ pub struct Checkpoint<M> {
     seed: u64,
     iteration: u64,
     messages: Vec<M>,
+    sent: Vec<bool>,
     beliefs: Vec<M>,
     guessed: Vec<bool>,
 }
@@ -33,6 +36,7 @@ impl<'g, M: Message, F: Factor<M>> Engine<'g, M, F> {
             seed: self.seed(),
             iteration: state.iteration,
             messages: state.messages.clone(),
+            sent: state.sent.clone(),
             beliefs: state.beliefs.clone(),
             guessed: state.guessed.clone(),
         }
@@ -48,21 +52,23 @@ impl<'g, M: Message, F: Factor<M>> Engine<'g, M, F> {
         options: Options,
         checkpoint: Checkpoint<M>,
     ) -> Result<Self, GraphError> {
-        let Checkpoint { version, fingerprint: saved, seed, iteration, messages, beliefs, guessed } =
+        let Checkpoint { version, fingerprint: saved, seed, iteration, messages, sent, beliefs, guessed } =
             checkpoint;
         if version != VERSION {
             let reason = format!("its version is {version}, this program reads version {VERSION}");
             return Err(GraphError::Checkpoint(reason));
         }
         let topology = Topology::new(graph);
-        let sizes = [messages.len() == topology.edge_count(), beliefs.len() == topology.variable_count()];
-        if saved != fingerprint(graph, &topology) || sizes != [true; 2] || guessed.len() != beliefs.len() {
+        let edges = topology.edge_count();
+        let sizes = messages.len() == edges && sent.len() == edges;
+        let sizes = sizes && beliefs.len() == topology.variable_count() && guessed.len() == beliefs.len();
+        if saved != fingerprint(graph, &topology) || !sizes {
             let reason = "it was saved from a graph with other variables, factors or edges".to_owned();
             return Err(GraphError::Checkpoint(reason));
         }
         let mut state = State::new(graph, &topology);
         state.stale.fill(false);
-        state = State { iteration, messages, beliefs, guessed, ..state };
+        state = State { iteration, messages, sent, beliefs, guessed, ..state };
         Self::with_state(graph, topology, Options { seed, ..options }, state)
     }
 }

@@ -32,7 +32,8 @@ pub struct Options {
     pub tolerance: f64,
     /// The most iterations a run may take.
     pub max_iterations: usize,
-    /// Share of the old message kept at each update, from 0 (none) to below 1.
+    /// Share of the old message kept at each update, from 0 (none) to below 1; the first message along an edge
+    /// has no old one and is sent whole.
     pub damping: f64,
     /// What variables send to factors.
     pub outgoing: Outgoing,
@@ -255,27 +256,28 @@ fn refresh<M: Message, F: Factor<M>>(
 ) -> Result<(), GraphError> {
     let State { iteration, messages, beliefs, priors, guessed, .. } = state;
     let edges = topology.raw_edges_of_variable(variable);
-    let mut stream = Stream::new(options.seed, *iteration, Purpose::Belief, variable as u64);
     let incoming = Messages::new(messages, edges).with_prior(priors[variable].as_ref());
-    let (belief, guess) = (&mut beliefs[variable], &mut guessed[variable]);
-    multiply(incoming, &belief_forms[variable], &mut stream, belief, guess)
-        .map_err(|source| product_error(graph, variable, *iteration, source))
+    if incoming.is_empty() {
+        return Ok(());
+    }
+    let mut stream = Stream::new(options.seed, *iteration, Purpose::Belief, variable as u64);
+    let (form, belief) = (&belief_forms[variable], &mut beliefs[variable]);
+    let outcome = if guessed[variable] {
+        replace_guess(incoming, form, &mut stream, belief, &mut guessed[variable])
+    } else {
+        M::product_into(incoming, form, &mut stream, belief)
+    };
+    outcome.map_err(|source| product_error(graph, variable, *iteration, source))
 }
 
-/// The product of `incoming`; a start keeps standing in for a belief that is not yet a distribution.
-fn multiply<M: Message>(
+/// The product of `incoming`; the start keeps standing in for a belief that is not yet a distribution.
+fn replace_guess<M: Message>(
     incoming: Messages<'_, M>,
     form: &M::Form,
     stream: &mut Stream,
     belief: &mut M,
     guessed: &mut bool,
 ) -> Result<(), MessageError> {
-    if incoming.is_empty() {
-        return Ok(());
-    }
-    if !*guessed {
-        return M::product_into(incoming, form, stream, belief);
-    }
     let mut product = belief.clone();
     M::product_into(incoming, form, stream, &mut product)?;
     if product.is_proper() {
@@ -350,20 +352,27 @@ fn compute<M: Message, F: Factor<M>>(
     let incoming = Incoming::trusted(&scratch.inputs, &state.beliefs, variables);
     let mut stream = Stream::new(options.seed, iteration, Purpose::Message, edge.index() as u64);
     let (to, form) = (edge.index() - first, &graph.edge_form[edge.index()]);
-    let rule = &graph.factors[factor.index()].factor;
+    let rule = &graph.factors[factor.index()];
     rule.message_into(to, &incoming, form, &mut stream, &mut scratch.output)
         .map_err(|source| rule_error(graph, factor, edge.index(), iteration, source))?;
     let previous = &state.messages[edge.index()];
-    settle(&mut scratch.output, previous, options.damping)
+    let damping = if state.sent[edge.index()] { options.damping } else { 0.0 };
+    settle(&mut scratch.output, previous, damping)
         .map_err(|source| rule_error(graph, factor, edge.index(), iteration, source))
+}
+
+/// Moves a new message towards the old one.
+fn damp<M: Message>(message: &mut M, previous: &M, damping: f64) -> Result<(), MessageError> {
+    if message.damp(previous, damping) {
+        return Ok(());
+    }
+    Err(MessageError::Unsupported("messages of this form cannot be damped; set damping to 0".into()))
 }
 
 /// Damps a new message and measures how far it moved.
 fn settle<M: Message>(message: &mut M, previous: &M, damping: f64) -> Result<f64, MessageError> {
-    if damping > 0.0 && !message.damp(previous, damping) {
-        return Err(MessageError::Unsupported(
-            "messages of this form cannot be damped; set damping to 0".into(),
-        ));
+    if damping > 0.0 {
+        damp(message, previous, damping)?;
     }
     let change = message.change(previous);
     if change.is_nan() {
@@ -399,6 +408,10 @@ fn extrinsic<M: Message>(
 }
 
 impl<M: Message, F: Factor<M>> Pass for Run<'_, '_, M, F> {
+    fn damping(&self) -> f64 {
+        self.engine.options.damping
+    }
+
     fn everything(&mut self) -> Result<f64, GraphError> {
         flood::everything(self.engine, self.topology)
     }
@@ -411,7 +424,8 @@ impl<M: Message, F: Factor<M>> Pass for Run<'_, '_, M, F> {
         }
         let mut largest: f64 = 0.0;
         if options.parallel && edges.len() >= PARALLEL_EDGES {
-            let changes: Result<Vec<f64>, GraphError> = edges
+            // Collected as results, so that of several errors the first in order is returned.
+            let changes: Vec<Result<f64, GraphError>> = edges
                 .par_iter()
                 .zip(pending.par_iter_mut())
                 .map_init(
@@ -423,7 +437,9 @@ impl<M: Message, F: Factor<M>> Pass for Run<'_, '_, M, F> {
                     },
                 )
                 .collect();
-            largest = changes?.into_iter().fold(largest, f64::max);
+            for change in changes {
+                largest = largest.max(change?);
+            }
         } else {
             for (&edge, slot) in edges.iter().zip(pending.iter_mut()) {
                 largest = largest.max(compute(graph, topology, options, state, belief_forms, scratch, edge)?);
@@ -433,6 +449,7 @@ impl<M: Message, F: Factor<M>> Pass for Run<'_, '_, M, F> {
         touched.clear();
         for (&edge, slot) in edges.iter().zip(pending.iter_mut()) {
             std::mem::swap(&mut state.messages[edge.index()], slot);
+            state.sent[edge.index()] = true;
             touched.push(topology.variable_of(edge).0);
         }
         touched.sort_unstable();
@@ -450,6 +467,7 @@ impl<M: Message, F: Factor<M>> Pass for Run<'_, '_, M, F> {
             largest =
                 largest.max(compute(graph, self.topology, options, state, belief_forms, scratch, edge)?);
             std::mem::swap(&mut state.messages[edge.index()], &mut scratch.output);
+            state.sent[edge.index()] = true;
             self.refresh(self.topology.variable_of(edge).index())?;
         }
         Ok(largest)

@@ -35,6 +35,7 @@ impl<'a, M> Incoming<'a, M> {
     }
 
     /// The message from the variable at `port`: what all others there say of it (or, broadcast, its belief).
+    /// Arbitrary at the port that the message is for.
     pub fn message(&self, port: Port) -> &'a M {
         &self.messages[port]
     }

@@ -55,9 +55,9 @@ pub(crate) struct Variable<M: Message> {
     node: NodeIndex<u32>,
 }
 
-pub(crate) struct FactorNode<F> {
+/// What is known of a factor besides its rules, which the engine reads alone.
+struct FactorNode {
     name: Option<Box<str>>,
-    pub(crate) factor: F,
     first_edge: u32,
     node: NodeIndex<u32>,
 }
@@ -70,7 +70,8 @@ pub(crate) struct FactorNode<F> {
 /// Building is amortised constant time per variable and per edge.
 pub struct FactorGraph<M: Message, F = Box<dyn Factor<M>>> {
     pub(crate) variables: Vec<Variable<M>>,
-    pub(crate) factors: Vec<FactorNode<F>>,
+    pub(crate) factors: Vec<F>,
+    factor_nodes: Vec<FactorNode>,
     /// Variable at each edge; edges are numbered factor by factor, port by port.
     pub(crate) edge_variable: Vec<u32>,
     pub(crate) edge_form: Vec<M::Form>,
@@ -91,6 +92,7 @@ impl<M: Message, F: Factor<M>> FactorGraph<M, F> {
         Self {
             variables: Vec::new(),
             factors: Vec::new(),
+            factor_nodes: Vec::new(),
             edge_variable: Vec::new(),
             edge_form: Vec::new(),
             spaces: Vec::new(),
@@ -165,7 +167,8 @@ impl<M: Message, F: Factor<M>> FactorGraph<M, F> {
             self.edge_variable.push(variable.0);
             self.edge_form.push(M::Form::default());
         }
-        self.factors.push(FactorNode { name, factor, first_edge, node });
+        self.factors.push(factor);
+        self.factor_nodes.push(FactorNode { name, first_edge, node });
         Ok(id)
     }
 
@@ -315,12 +318,12 @@ impl<M: Message, F: Factor<M>> FactorGraph<M, F> {
 
     /// A factor's name with its number.
     pub fn factor_name(&self, factor: FactorId) -> String {
-        factor_label(self.factors.get(factor.index()).and_then(|f| f.name.as_deref()), factor)
+        factor_label(self.factor_nodes.get(factor.index()).and_then(|f| f.name.as_deref()), factor)
     }
 
     /// The name a factor was given, shared by all of its kind; empty if none.
     pub fn factor_kind(&self, factor: FactorId) -> &str {
-        self.factors.get(factor.index()).and_then(|f| f.name.as_deref()).unwrap_or("")
+        self.factor_nodes.get(factor.index()).and_then(|f| f.name.as_deref()).unwrap_or("")
     }
 
     /// The edge at a factor's port.
@@ -329,7 +332,7 @@ impl<M: Message, F: Factor<M>> FactorGraph<M, F> {
     ///
     /// Where the factor or port is unknown.
     pub fn edge(&self, factor: FactorId, port: Port) -> Result<EdgeId, GraphError> {
-        let Some(node) = self.factors.get(factor.index()) else {
+        let Some(node) = self.factor_nodes.get(factor.index()) else {
             return Err(GraphError::Unknown {
                 what: "factor",
                 index: factor.index(),
@@ -425,9 +428,9 @@ impl<M: Message, F: Factor<M>> FactorGraph<M, F> {
     }
 
     pub(crate) fn edge_range(&self, factor: FactorId) -> std::ops::Range<usize> {
-        let next = self.factors.get(factor.index() + 1);
+        let next = self.factor_nodes.get(factor.index() + 1);
         let end = next.map_or(self.edge_variable.len(), |next| next.first_edge as usize);
-        self.factors[factor.index()].first_edge as usize..end
+        self.factor_nodes[factor.index()].first_edge as usize..end
     }
 
     pub(crate) fn belief_form(&self, variable: VariableId, edges: &[u32]) -> M::Form {
@@ -436,7 +439,7 @@ impl<M: Message, F: Factor<M>> FactorGraph<M, F> {
     }
 
     pub(crate) fn node_of(&self, factor: FactorId) -> NodeIndex<u32> {
-        self.factors[factor.index()].node
+        self.factor_nodes[factor.index()].node
     }
 
     pub(crate) fn structure(&self) -> &UnGraph<Kind, EdgeId, u32> {

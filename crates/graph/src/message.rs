@@ -52,6 +52,22 @@ impl<'a, M> Messages<'a, M> {
         prior.into_iter().chain(kept.map(move |(_, &edge)| &messages[edge as usize]))
     }
 
+    /// Calls `visit` with each message in the order of [`Messages::iter`]; the loop of choice for light messages.
+    #[inline]
+    pub fn for_each(self, mut visit: impl FnMut(&'a M)) {
+        let Self { prior, messages, edges, skip } = self;
+        if let Some(prior) = prior {
+            visit(prior);
+        }
+        let (before, after) = match edges.split_at_checked(skip) {
+            Some((before, rest)) => (before, rest.get(1..).unwrap_or_default()),
+            None => (edges, &edges[..0]),
+        };
+        for &edge in before.iter().chain(after) {
+            visit(&messages[edge as usize]);
+        }
+    }
+
     /// Number of messages.
     pub fn len(&self) -> usize {
         self.edges.len() + usize::from(self.prior.is_some()) - usize::from(self.skip != usize::MAX)
@@ -77,6 +93,10 @@ pub trait Message: Clone + Send + Sync + 'static {
     /// Whether [`Message::quotient`] is as accurate as the product of the remaining messages. Where it is not
     /// (subtraction loses digits), passes that visit one edge at a time multiply instead of dividing.
     const EXACT_QUOTIENT: bool = false;
+
+    /// Whether [`Message::quotient`] never fails. Where it may, a pass that sends every message at once keeps a
+    /// copy of the messages as they stood, to multiply those that it cannot divide.
+    const ALWAYS_DIVIDES: bool = false;
 
     /// The message that says nothing about a variable of this space: the identity of the product.
     fn vacuous(space: &Space) -> Self;
@@ -105,6 +125,23 @@ pub trait Message: Clone + Send + Sync + 'static {
     ) -> Result<(), MessageError> {
         *out = Self::product(incoming, form, stream)?;
         Ok(())
+    }
+
+    /// [`Message::product_into`] that also returns how far the belief moved; `previous` is storage.
+    ///
+    /// # Errors
+    ///
+    /// As [`Message::product`].
+    fn update(
+        incoming: Messages<'_, Self>,
+        form: &Self::Form,
+        stream: &mut Stream,
+        belief: &mut Self,
+        previous: &mut Self,
+    ) -> Result<f64, MessageError> {
+        previous.clone_from(belief);
+        Self::product_into(incoming, form, stream, belief)?;
+        Ok(belief.change(previous))
     }
 
     /// This belief with one incoming message taken out, where the family can divide.

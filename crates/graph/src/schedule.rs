@@ -19,7 +19,12 @@ use crate::{EdgeId, GraphError, Node, Topology};
 /// A message here is a factor's message along an edge; what variables send is derived from their beliefs. A
 /// variable's belief is brought up to date as soon as a message into it has changed.
 pub trait Pass {
-    /// Every message, all from the beliefs as they stand.
+    /// Share of the old message kept at each update: how much of a change is still to come.
+    fn damping(&self) -> f64 {
+        0.0
+    }
+
+    /// Every message, all from the beliefs as they stand; returns the largest change of a belief.
     ///
     /// # Errors
     ///

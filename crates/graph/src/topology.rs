@@ -96,7 +96,10 @@ impl Topology {
     }
 
     /// A variable's edges, in order.
-    pub fn edges_of_variable(&self, variable: VariableId) -> impl DoubleEndedIterator<Item = EdgeId> + '_ {
+    pub fn edges_of_variable(
+        &self,
+        variable: VariableId,
+    ) -> impl DoubleEndedIterator<Item = EdgeId> + Clone + '_ {
         self.raw_edges_of_variable(variable.index()).iter().map(|&edge| EdgeId(edge))
     }
 

@@ -25,6 +25,8 @@ struct Entry<M: Message> {
     form: Option<M::Form>,
     belief: Option<M>,
     guessed: bool,
+    /// Whether the belief lacks a prior that was set after it was computed.
+    stale: bool,
 }
 
 struct Joint<M: Message, F> {
@@ -77,16 +79,17 @@ impl<M: Message, F: Factor<M>> Window<M, F> {
     ///
     /// # Errors
     ///
-    /// Where `time` is not finite or not after the last slice's, or where messages that are to be kept as
-    /// priors have no product.
+    /// Where `time` is not finite or not after the last slice's, where a factor would leave that no run has
+    /// heard yet, or where messages that are to be kept as priors have no product.
     pub fn begin(&mut self, time: f64) -> Result<(), GraphError> {
         let last = self.slices.back().map_or(f64::NEG_INFINITY, |slice| slice.0);
         if !time.is_finite() || time <= last {
             let expected = "a slice's time must be finite and after the slice before it";
             return Err(GraphError::Option { what: "the slice's time", value: time, expected });
         }
+        self.refuse_unheard()?;
         if self.lag == 1 {
-            self.collapse();
+            self.collapse()?;
         }
         // One slice more than the lag stays until the next begins: factors still reach back to it.
         while self.slices.len() > self.lag {
@@ -96,18 +99,45 @@ impl<M: Message, F: Factor<M>> Window<M, F> {
         Ok(())
     }
 
-    /// A filter's close: beliefs become priors, and the factors that made them go.
-    fn collapse(&mut self) {
-        self.factors.clear();
+    /// A factor that leaves before any run would leave no trace.
+    fn refuse_unheard(&self) -> Result<(), GraphError> {
+        let leaving = self.slices.len().saturating_sub(self.lag);
+        let count: usize = self.slices.iter().take(leaving).map(|slice| slice.1).sum();
+        let boundary = WindowVariable(self.first + count as u64);
+        let leaves = |joint: &&Joint<M, F>| {
+            self.lag == 1 || joint.variables.iter().any(|&variable| variable < boundary)
+        };
+        match self.factors.iter().filter(leaves).find(|joint| joint.messages.is_empty()) {
+            Some(joint) => Err(GraphError::Schedule(format!(
+                "factor {:?} was added after the last run and would leave the window unheard; run the window \
+                 before beginning a slice",
+                joint.name
+            ))),
+            None => Ok(()),
+        }
+    }
+
+    /// A filter's close: beliefs become priors, and the factors that made them go. Where a belief is no
+    /// product (a start still stands in for it, or a prior came later), the messages become the prior.
+    fn collapse(&mut self) -> Result<(), GraphError> {
+        for joint in std::mem::take(&mut self.factors) {
+            for ((&variable, message), form) in joint.variables.iter().zip(joint.messages).zip(&joint.forms) {
+                let entry = &self.variables[(variable.0 - self.first) as usize];
+                if entry.guessed || entry.stale {
+                    self.pin(variable, message, form)?;
+                }
+            }
+        }
         for slice in &mut self.slices {
             slice.2 = 0;
         }
-        for entry in &mut self.variables {
+        for entry in self.variables.iter_mut().filter(|entry| !entry.guessed && !entry.stale) {
             if let Some(belief) = &entry.belief {
                 entry.prior = Some(belief.clone());
                 entry.start = None;
             }
         }
+        Ok(())
     }
 
     /// Lets the oldest slice leave; its last messages to what stays are kept as priors.
@@ -190,6 +220,7 @@ impl<M: Message, F: Factor<M>> Window<M, F> {
             form: None,
             belief: None,
             guessed: false,
+            stale: false,
         });
         Ok(WindowVariable(self.first + self.variables.len() as u64 - 1))
     }
@@ -223,7 +254,9 @@ impl<M: Message, F: Factor<M>> Window<M, F> {
     /// Where the variable is not in the window.
     pub fn set_prior(&mut self, variable: WindowVariable, prior: M) -> Result<(), GraphError> {
         let position = self.position(variable)?;
-        self.variables[position].prior = Some(prior);
+        let entry = &mut self.variables[position];
+        entry.prior = Some(prior);
+        entry.stale = true;
         Ok(())
     }
 
@@ -255,6 +288,15 @@ impl<M: Message, F: Factor<M>> Window<M, F> {
         self.variables[position].belief.as_ref()
     }
 
+    /// The messages that factors sent in the last run, each with its factor's name and the variable it went to;
+    /// factors added since then have sent none.
+    pub fn messages(&self) -> impl Iterator<Item = (&str, WindowVariable, &M)> {
+        self.factors.iter().flat_map(|joint| {
+            let sent = joint.variables.iter().zip(&joint.messages);
+            sent.map(|(&variable, message)| (joint.name.as_str(), variable, message))
+        })
+    }
+
     /// Replaces a belief, for instance by a resampled one; with a lag of one slice it is what the next slice
     /// is predicted from.
     ///
@@ -263,7 +305,8 @@ impl<M: Message, F: Factor<M>> Window<M, F> {
     /// Where the variable is not in the window.
     pub fn set_belief(&mut self, variable: WindowVariable, belief: M) -> Result<(), GraphError> {
         let position = self.position(variable)?;
-        self.variables[position].belief = Some(belief);
+        let entry = &mut self.variables[position];
+        (entry.belief, entry.guessed, entry.stale) = (Some(belief), false, false);
         Ok(())
     }
 
@@ -333,6 +376,7 @@ impl<M: Message, F: Factor<M>> Window<M, F> {
         for joint in &self.factors {
             for message in &joint.messages {
                 state.messages[edge] = message.clone();
+                state.sent[edge] = true;
                 edge += 1;
             }
             edge += joint.variables.len() - joint.messages.len();
@@ -341,7 +385,7 @@ impl<M: Message, F: Factor<M>> Window<M, F> {
             if let Some(belief) = &entry.belief {
                 state.beliefs[position] = belief.clone();
                 state.guessed[position] = entry.guessed;
-                state.stale[position] = false;
+                state.stale[position] = entry.stale;
             }
         }
         let mut engine = Engine::with_state(&graph, topology, self.options, state).map_err(named)?;
@@ -350,8 +394,7 @@ impl<M: Message, F: Factor<M>> Window<M, F> {
         drop(graph);
         self.iteration = state.iteration;
         for ((entry, belief), guessed) in self.variables.iter_mut().zip(state.beliefs).zip(state.guessed) {
-            entry.belief = Some(belief);
-            entry.guessed = guessed;
+            (entry.belief, entry.guessed, entry.stale) = (Some(belief), guessed, false);
         }
         let mut messages = state.messages.into_iter();
         for joint in &mut self.factors {

@@ -543,12 +543,13 @@ impl GaussianFamily for AnyMessage {
     }
 
     fn read_information(&self, information: &mut [f64], vector: &mut [f64]) -> Result<f64, MessageError> {
+        let before = self.loss.unwrap_or(0.0);
         match &self.value {
-            AnyValue::Gaussian(gaussian) => gaussian.read_information(information, vector),
+            AnyValue::Gaussian(gaussian) => Ok(before + gaussian.read_information(information, vector)?),
             AnyValue::Particles(particles) => {
                 let (gaussian, loss) = particles_to_gaussian(particles)?;
                 gaussian.read_information(information, vector)?;
-                Ok(loss)
+                Ok(before + loss)
             }
         }
     }
@@ -644,7 +645,8 @@ impl ParticleFamily for AnyMessage {
     }
 
     fn read_particles(&self, count: usize, stream: &mut Stream) -> Result<(Particles, f64), MessageError> {
-        self.to_particles(count, stream)
+        let (particles, loss) = self.to_particles(count, stream)?;
+        Ok((particles, self.loss.unwrap_or(0.0) + loss))
     }
 
     fn as_particles(&self) -> Option<&Particles> {

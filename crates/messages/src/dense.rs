@@ -34,7 +34,7 @@ impl Cholesky {
                 let value = factor[a + column] - dot;
                 if column < row {
                     factor[a + column] = value * factor[b + column];
-                } else if value > 0.0 && value.is_finite() {
+                } else if value > pivot_floor(dimension, matrix[a + row]) && value.is_finite() {
                     factor[a + row] = 1.0 / value.sqrt();
                 } else {
                     return Err(MessageError::NotPositiveDefinite { what, pivot: row, value });
@@ -103,6 +103,12 @@ impl Cholesky {
     }
 }
 
+/// The pivot below which a positive value is rounding: a singular matrix rarely gives exact zeros.
+#[inline]
+pub(crate) fn pivot_floor(dimension: usize, diagonal: f64) -> f64 {
+    dimension as f64 * f64::EPSILON * diagonal
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -121,6 +127,17 @@ mod tests {
         }
         let determinant: f64 = 4.0 * (15.0 - 0.25) - 2.0 * (6.0 + 0.5) - (1.0 + 5.0);
         assert!((cholesky.log_determinant() - determinant.ln()).abs() < 1e-13);
+    }
+
+    #[test]
+    fn a_pivot_of_rounding_is_none() {
+        // Rank one; in floating point its last pivot is 1e-16.
+        let ray = [2.0, -1.0, -1.0, 0.5];
+        assert!(Cholesky::new(&ray, 2, "the ray").is_err());
+        let near = [2.0, -1.0, -1.0, 0.5 + 1e-12];
+        assert!(Cholesky::new(&near, 2, "the ray, nearly").is_ok());
+        // Scales of coordinates do not matter.
+        assert!(Cholesky::new(&[1e-30, 0.0, 0.0, 1e30], 2, "scales").is_ok());
     }
 
     #[test]

@@ -200,6 +200,17 @@ impl DynamicGaussian {
         Ok(())
     }
 
+    /// The product of two messages of one dimension.
+    ///
+    /// # Errors
+    ///
+    /// Where their dimensions differ.
+    pub fn times(&self, other: &Self) -> Result<Self, MessageError> {
+        let mut product = self.clone();
+        product.add(other)?;
+        Ok(product)
+    }
+
     /// This message with `other` taken out.
     #[must_use]
     pub fn over(&self, other: &Self) -> Self {

@@ -5,6 +5,7 @@
 //! quotients subtract.
 
 use crate::Moments;
+use crate::dense::pivot_floor;
 use crate::moments::improper;
 use nalgebra::{SMatrix, SVector};
 use serde::{Deserialize, Serialize};
@@ -158,6 +159,12 @@ impl<const D: usize> Gaussian<D> {
         Self { information: self.information + other.information, vector: self.vector + other.vector }
     }
 
+    #[inline]
+    fn add(&mut self, other: &Self) {
+        self.information += other.information;
+        self.vector += other.vector;
+    }
+
     fn improper(&self) -> MessageError {
         improper("the message", self.information.as_slice(), D)
     }
@@ -177,7 +184,7 @@ pub(crate) fn cholesky<const D: usize>(
         for k in 0..column {
             pivot -= factor[(column, k)] * factor[(column, k)];
         }
-        if !(pivot > 0.0 && pivot.is_finite()) {
+        if !(pivot > pivot_floor(D, matrix[(column, column)]) && pivot.is_finite()) {
             return Err(MessageError::NotPositiveDefinite { what, pivot: column, value: pivot });
         }
         let reciprocal = 1.0 / pivot.sqrt();
@@ -257,9 +264,9 @@ const ROUNDING: f64 = 16.0 * f64::EPSILON;
 /// The share of a change in an information form that one row sees, squared; see [`information_change`].
 #[inline]
 fn shift(now: f64, before: f64, scale: f64) -> f64 {
-    let moved = ((now - before).abs() - ROUNDING * (now.abs() + before.abs())).max(0.0);
-    // A maximum would drop a NaN, a sum keeps it.
-    moved * moved * scale + 0.0 * now
+    let moved = (now - before).abs() - ROUNDING * (now.abs() + before.abs());
+    // Not a maximum with zero, which would drop a NaN.
+    if moved < 0.0 { 0.0 } else { moved * moved * scale }
 }
 
 /// How far an information form moved, in standard deviations: the largest change of an entry of Λ relative to
@@ -305,11 +312,23 @@ impl<const D: usize> Message for Gaussian<D> {
         _stream: &mut Stream,
     ) -> Result<Self, MessageError> {
         let mut product = Self::default();
-        incoming.for_each(|message| {
-            product.information += message.information;
-            product.vector += message.vector;
-        });
+        incoming.for_each(|message| product.add(message));
         Ok(product)
+    }
+
+    #[inline]
+    fn update(
+        incoming: Messages<'_, Self>,
+        _form: &GaussianForm,
+        _stream: &mut Stream,
+        belief: &mut Self,
+        _previous: &mut Self,
+    ) -> Result<f64, MessageError> {
+        let mut product = Self::default();
+        incoming.for_each(|message| product.add(message));
+        let change = product.change(belief);
+        *belief = product;
+        Ok(change)
     }
 
     #[inline]
@@ -331,19 +350,24 @@ impl<const D: usize> Message for Gaussian<D> {
     #[inline]
     fn change(&self, previous: &Self) -> f64 {
         let scale: [f64; D] = std::array::from_fn(|k| {
-            let own = self.information[(k, k)].abs().max(previous.information[(k, k)].abs());
+            let (now, before) = (self.information[(k, k)].abs(), previous.information[(k, k)].abs());
+            let own = if now > before { now } else { before };
             if own > 0.0 { 1.0 / own } else { 0.0 }
         });
-        let mut largest: f64 = 0.0;
+        // A maximum drops a NaN, a sum keeps it.
+        let (mut largest, mut sum) = (0.0, 0.0);
+        let mut see = |moved: f64| {
+            largest = if moved > largest { moved } else { largest };
+            sum += moved;
+        };
         for row in 0..D {
-            let moved = shift(self.vector[row], previous.vector[row], scale[row]);
-            largest = not_below(largest, moved);
+            see(shift(self.vector[row], previous.vector[row], scale[row]));
             for column in 0..=row {
                 let difference = self.information[(row, column)] - previous.information[(row, column)];
-                largest = not_below(largest, difference * difference * (scale[row] * scale[column]));
+                see(difference * difference * (scale[row] * scale[column]));
             }
         }
-        largest.sqrt()
+        if sum.is_nan() { sum } else { largest.sqrt() }
     }
 
     fn damp(&mut self, previous: &Self, damping: f64) -> bool {

@@ -8,6 +8,8 @@ pub(crate) struct State<M> {
     pub(crate) iteration: u64,
     /// Factor-to-variable messages, by edge.
     pub(crate) messages: Vec<M>,
+    /// Whether a message has been sent along each edge yet: the first has nothing to be damped with.
+    pub(crate) sent: Vec<bool>,
     pub(crate) beliefs: Vec<M>,
     pub(crate) priors: Vec<Option<M>>,
     /// Beliefs that stand for a start rather than a product: nothing may be divided out of them.
@@ -38,6 +40,7 @@ impl<M: Message> State<M> {
         let mut state = Self {
             iteration: 0,
             messages,
+            sent: vec![false; topology.edge_count()],
             beliefs: (0..topology.variable_count()).map(vacuous_at).collect(),
             priors: Vec::with_capacity(topology.variable_count()),
             guessed: vec![false; topology.variable_count()],
@@ -46,12 +49,13 @@ impl<M: Message> State<M> {
             vacuous_of,
         };
         for (index, variable) in graph.variables.iter().enumerate() {
+            // Without an edge no message would ever replace the start.
+            let isolated = topology.raw_edges_of_variable(index).is_empty();
             if let Some(start) = &variable.start {
                 state.beliefs[index] = start.clone();
                 state.guessed[index] = true;
-            } else {
-                state.stale[index] = variable.prior.is_some();
             }
+            state.stale[index] = variable.prior.is_some() && (variable.start.is_none() || isolated);
             state.priors.push(variable.prior.clone());
         }
         state

@@ -64,7 +64,11 @@ fn tree_order(topology: &Topology) -> Result<Vec<EdgeId>, Refusal> {
         variable_from[root as usize] = ROOT;
         stack.push(VariableId(root));
         while let Some(variable) = stack.pop() {
-            for towards in topology.edges_of_variable(variable) {
+            // Inward messages come in the reverse of this order: evidence last, when the others have given rules
+            // that linearise a point to do so.
+            let alone = |edge: &EdgeId| topology.edges_of_factor(topology.factor_of(*edge)).count() == 1;
+            let edges = topology.edges_of_variable(variable);
+            for towards in edges.clone().filter(alone).chain(edges.filter(|edge| !alone(edge))) {
                 if towards.0 == variable_from[variable.index()] {
                     continue;
                 }

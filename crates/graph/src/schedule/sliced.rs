@@ -13,6 +13,7 @@ pub struct Sliced {
     rounds: usize,
     smoothing: bool,
     evidence_first: bool,
+    evidence_before_rounds: bool,
     slices: Vec<Slice>,
 }
 
@@ -44,6 +45,14 @@ impl Sliced {
     #[must_use]
     pub fn evidence_first(mut self) -> Self {
         self.evidence_first = true;
+        self
+    }
+
+    /// After the prediction, each slice hears from its factors of a single variable once, before the rounds: the
+    /// first round then starts from what every variable knows by itself.
+    #[must_use]
+    pub fn evidence_before_rounds(mut self) -> Self {
+        self.evidence_before_rounds = true;
         self
     }
 }
@@ -96,6 +105,9 @@ impl Schedule for Sliced {
                 largest = largest.max(pass.together(&slice.evidence)?);
             }
             largest = largest.max(pass.together(&slice.prediction)?);
+            if self.evidence_before_rounds {
+                largest = largest.max(pass.together(&slice.evidence)?);
+            }
             for _ in 0..self.rounds {
                 largest = largest.max(pass.together(&slice.within)?);
             }
