@@ -1,6 +1,7 @@
 //! The engine: messages and beliefs, computed as a schedule asks.
 
 mod flood;
+mod pass;
 mod state;
 
 pub(crate) use state::State;
@@ -8,10 +9,10 @@ pub(crate) use state::State;
 use crate::graph::Kind;
 use crate::schedule::Refusal;
 use crate::{
-    EdgeId, Factor, FactorGraph, FactorId, GraphError, Incoming, Message, MessageError, Messages, Node, Pass,
-    Purpose, Quality, Report, Schedule, Stop, Stream, Topology, VariableId,
+    EdgeId, Factor, FactorGraph, GraphError, Message, Node, Quality, Report, Schedule, Stop, Topology,
+    VariableId,
 };
-use rayon::prelude::*;
+use pass::{Run, refresh};
 
 /// What variables send to factors.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -72,6 +73,9 @@ impl Options {
 const PARALLEL_EDGES: usize = 32;
 /// Number of messages up to which a product of the others replaces an inexact quotient.
 const FEW_MESSAGES: usize = 8;
+/// Number of edges from which a belief is updated by the message that changed, and computed anew once per pass:
+/// a hub of n edges costs n, not its square.
+const HUB_EDGES: usize = 32;
 
 /// Passes messages on a graph.
 ///
@@ -87,6 +91,8 @@ pub struct Engine<'g, M: Message, F = Box<dyn Factor<M>>> {
     scratch: Scratch<M>,
     pending: Vec<M>,
     touched: Vec<u32>,
+    /// A belief without a message, and the message that replaces it.
+    exchange: [M; 2],
 }
 
 /// Storage that a thread computes messages in.
@@ -145,7 +151,8 @@ impl<'g, M: Message, F: Factor<M>> Engine<'g, M, F> {
             }
         }
         let (pending, touched) = (Vec::new(), Vec::new());
-        Ok(Self { graph, topology, options, state, belief_forms, flood, scratch, pending, touched })
+        let exchange = [scratch.output.clone(), scratch.output.clone()];
+        Ok(Self { graph, topology, options, state, belief_forms, flood, scratch, pending, touched, exchange })
     }
 
     /// Runs a schedule until it has finished, the messages have converged, or the cap is reached.
@@ -208,6 +215,16 @@ impl<'g, M: Message, F: Factor<M>> Engine<'g, M, F> {
         &self.state.beliefs[variable.index()]
     }
 
+    /// Whether a variable's belief is a product of messages; false where its start still stands in, because
+    /// nothing, or too little, is known of the variable.
+    ///
+    /// # Panics
+    ///
+    /// Where the handle is of another graph.
+    pub fn is_determined(&self, variable: VariableId) -> bool {
+        !self.state.guessed[variable.index()] && self.belief(variable).is_proper()
+    }
+
     /// A factor's message along an edge.
     ///
     /// # Panics
@@ -242,234 +259,5 @@ impl<'g, M: Message, F: Factor<M>> Engine<'g, M, F> {
 
     pub(crate) fn into_state(self) -> State<M> {
         self.state
-    }
-}
-
-/// Brings the belief of `variable` up to date.
-fn refresh<M: Message, F: Factor<M>>(
-    graph: &FactorGraph<M, F>,
-    topology: &Topology,
-    options: &Options,
-    state: &mut State<M>,
-    belief_forms: &[M::Form],
-    variable: usize,
-) -> Result<(), GraphError> {
-    let State { iteration, messages, beliefs, priors, guessed, .. } = state;
-    let edges = topology.raw_edges_of_variable(variable);
-    let incoming = Messages::new(messages, edges).with_prior(priors[variable].as_ref());
-    if incoming.is_empty() {
-        return Ok(());
-    }
-    let mut stream = Stream::new(options.seed, *iteration, Purpose::Belief, variable as u64);
-    let (form, belief) = (&belief_forms[variable], &mut beliefs[variable]);
-    let outcome = if guessed[variable] {
-        replace_guess(incoming, form, &mut stream, belief, &mut guessed[variable])
-    } else {
-        M::product_into(incoming, form, &mut stream, belief)
-    };
-    outcome.map_err(|source| product_error(graph, variable, *iteration, source))
-}
-
-/// The product of `incoming`; the start keeps standing in for a belief that is not yet a distribution.
-fn replace_guess<M: Message>(
-    incoming: Messages<'_, M>,
-    form: &M::Form,
-    stream: &mut Stream,
-    belief: &mut M,
-    guessed: &mut bool,
-) -> Result<(), MessageError> {
-    let mut product = belief.clone();
-    M::product_into(incoming, form, stream, &mut product)?;
-    if product.is_proper() {
-        *belief = product;
-        *guessed = false;
-    }
-    Ok(())
-}
-
-fn product_error<M: Message, F: Factor<M>>(
-    graph: &FactorGraph<M, F>,
-    variable: usize,
-    iteration: u64,
-    source: MessageError,
-) -> GraphError {
-    GraphError::Product { variable: graph.variable_name(VariableId(variable as u32)), iteration, source }
-}
-
-fn rule_error<M: Message, F: Factor<M>>(
-    graph: &FactorGraph<M, F>,
-    factor: FactorId,
-    edge: usize,
-    iteration: u64,
-    source: MessageError,
-) -> GraphError {
-    let port = edge - graph.edge_range(factor).start;
-    let variable = graph.variable_name(VariableId(graph.edge_variable[edge]));
-    GraphError::Rule { factor: graph.factor_name(factor), port, variable, iteration, source }
-}
-
-/// A pass over a borrowed topology, so that schedules can read it while the engine works.
-struct Run<'e, 'g, M: Message, F> {
-    engine: &'e mut Engine<'g, M, F>,
-    topology: &'e Topology,
-}
-
-impl<M: Message, F: Factor<M>> Run<'_, '_, M, F> {
-    fn refresh(&mut self, variable: usize) -> Result<(), GraphError> {
-        let Engine { graph, state, belief_forms, options, .. } = &mut *self.engine;
-        refresh(graph, self.topology, options, state, belief_forms, variable)
-    }
-}
-
-/// Computes the message along `edge` into `scratch.output`; returns how far it moved.
-fn compute<M: Message, F: Factor<M>>(
-    graph: &FactorGraph<M, F>,
-    topology: &Topology,
-    options: &Options,
-    state: &State<M>,
-    belief_forms: &[M::Form],
-    scratch: &mut Scratch<M>,
-    edge: EdgeId,
-) -> Result<f64, GraphError> {
-    let factor = topology.factor_of(edge);
-    let iteration = state.iteration;
-    let first = topology.first_edge(factor.index());
-    let variables = topology.raw_variables_of_factor(factor.index());
-    for (port, &variable) in variables.iter().enumerate() {
-        let (into, variable) = (first + port, variable as usize);
-        if into == edge.index() {
-            continue;
-        }
-        let input = &mut scratch.inputs[port];
-        if options.outgoing == Outgoing::Broadcast {
-            input.clone_from(&state.beliefs[variable]);
-            continue;
-        }
-        let mut stream = Stream::new(options.seed, iteration, Purpose::Extrinsic, into as u64);
-        extrinsic(topology, state, &belief_forms[variable], variable, into, &mut stream, input)
-            .map_err(|source| product_error(graph, variable, iteration, source))?;
-    }
-    let incoming = Incoming::trusted(&scratch.inputs, &state.beliefs, variables);
-    let mut stream = Stream::new(options.seed, iteration, Purpose::Message, edge.index() as u64);
-    let (to, form) = (edge.index() - first, &graph.edge_form[edge.index()]);
-    let rule = &graph.factors[factor.index()];
-    rule.message_into(to, &incoming, form, &mut stream, &mut scratch.output)
-        .map_err(|source| rule_error(graph, factor, edge.index(), iteration, source))?;
-    let previous = &state.messages[edge.index()];
-    let damping = if state.sent[edge.index()] { options.damping } else { 0.0 };
-    settle(&mut scratch.output, previous, damping)
-        .map_err(|source| rule_error(graph, factor, edge.index(), iteration, source))
-}
-
-/// Moves a new message towards the old one.
-fn damp<M: Message>(message: &mut M, previous: &M, damping: f64) -> Result<(), MessageError> {
-    if message.damp(previous, damping) {
-        return Ok(());
-    }
-    Err(MessageError::Unsupported("messages of this form cannot be damped; set damping to 0".into()))
-}
-
-/// Damps a new message and measures how far it moved.
-fn settle<M: Message>(message: &mut M, previous: &M, damping: f64) -> Result<f64, MessageError> {
-    if damping > 0.0 {
-        damp(message, previous, damping)?;
-    }
-    let change = message.change(previous);
-    if change.is_nan() {
-        return Err(MessageError::NotFinite { what: "the change of the message", value: change });
-    }
-    Ok(change)
-}
-
-/// What `variable` sends along `edge`: its belief without that edge's message.
-fn extrinsic<M: Message>(
-    topology: &Topology,
-    state: &State<M>,
-    form: &M::Form,
-    variable: usize,
-    edge: usize,
-    stream: &mut Stream,
-    out: &mut M,
-) -> Result<(), MessageError> {
-    let edges = topology.raw_edges_of_variable(variable);
-    let others = Messages::new(&state.messages, edges).with_prior(state.priors[variable].as_ref());
-    let divide = !state.guessed[variable] && (M::EXACT_QUOTIENT || others.len() > FEW_MESSAGES);
-    if divide && state.beliefs[variable].quotient_into(&state.messages[edge], out) {
-        return Ok(());
-    }
-    let others = others.without(edge as u32);
-    if others.is_empty() {
-        out.clone_from(&state.vacuous[state.vacuous_of[variable] as usize]);
-        return Ok(());
-    }
-    // A product may read the belief it replaces (the particles that carry it).
-    out.clone_from(&state.beliefs[variable]);
-    M::product_into(others, form, stream, out)
-}
-
-impl<M: Message, F: Factor<M>> Pass for Run<'_, '_, M, F> {
-    fn damping(&self) -> f64 {
-        self.engine.options.damping
-    }
-
-    fn everything(&mut self) -> Result<f64, GraphError> {
-        flood::everything(self.engine, self.topology)
-    }
-
-    fn together(&mut self, edges: &[EdgeId]) -> Result<f64, GraphError> {
-        let Engine { graph, options, state, belief_forms, scratch, pending, touched, .. } = &mut *self.engine;
-        let topology = self.topology;
-        if pending.len() < edges.len() {
-            pending.resize(edges.len(), scratch.output.clone());
-        }
-        let mut largest: f64 = 0.0;
-        if options.parallel && edges.len() >= PARALLEL_EDGES {
-            // Collected as results, so that of several errors the first in order is returned.
-            let changes: Vec<Result<f64, GraphError>> = edges
-                .par_iter()
-                .zip(pending.par_iter_mut())
-                .map_init(
-                    || scratch.clone(),
-                    |scratch, (&edge, slot)| {
-                        let change = compute(graph, topology, options, state, belief_forms, scratch, edge)?;
-                        std::mem::swap(slot, &mut scratch.output);
-                        Ok(change)
-                    },
-                )
-                .collect();
-            for change in changes {
-                largest = largest.max(change?);
-            }
-        } else {
-            for (&edge, slot) in edges.iter().zip(pending.iter_mut()) {
-                largest = largest.max(compute(graph, topology, options, state, belief_forms, scratch, edge)?);
-                std::mem::swap(slot, &mut scratch.output);
-            }
-        }
-        touched.clear();
-        for (&edge, slot) in edges.iter().zip(pending.iter_mut()) {
-            std::mem::swap(&mut state.messages[edge.index()], slot);
-            state.sent[edge.index()] = true;
-            touched.push(topology.variable_of(edge).0);
-        }
-        touched.sort_unstable();
-        touched.dedup();
-        for index in 0..self.engine.touched.len() {
-            self.refresh(self.engine.touched[index] as usize)?;
-        }
-        Ok(largest)
-    }
-
-    fn in_order(&mut self, edges: &[EdgeId]) -> Result<f64, GraphError> {
-        let mut largest: f64 = 0.0;
-        for &edge in edges {
-            let Engine { graph, options, state, belief_forms, scratch, .. } = &mut *self.engine;
-            largest =
-                largest.max(compute(graph, self.topology, options, state, belief_forms, scratch, edge)?);
-            std::mem::swap(&mut state.messages[edge.index()], &mut scratch.output);
-            state.sent[edge.index()] = true;
-            self.refresh(self.topology.variable_of(edge).index())?;
-        }
-        Ok(largest)
     }
 }

@@ -211,6 +211,18 @@ impl DynamicGaussian {
         Ok(product)
     }
 
+    /// The message moved by `shift`: its mean plus `shift`, its information the same.
+    #[must_use]
+    pub fn shifted(&self, shift: &[f64]) -> Self {
+        let mut shifted = self.clone();
+        for row in 0..self.dimension {
+            let pull: f64 =
+                (0..self.dimension).map(|column| self.information_at(row, column) * shift[column]).sum();
+            shifted.numbers[row] += pull;
+        }
+        shifted
+    }
+
     /// This message with `other` taken out.
     #[must_use]
     pub fn over(&self, other: &Self) -> Self {

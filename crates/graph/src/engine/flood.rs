@@ -7,10 +7,8 @@
 //! What the pass reports as change is the beliefs': one comparison per variable instead of one per message, and
 //! at the end of a pass every message has met its belief.
 
-use super::{
-    Engine, Options, PARALLEL_EDGES, Scratch, State, damp, extrinsic, product_error, replace_guess,
-    rule_error,
-};
+use super::pass::{damp, extrinsic, product_error, replace_guess, rule_error};
+use super::{Engine, Options, PARALLEL_EDGES, Scratch, State};
 use crate::{
     Factor, FactorGraph, FactorId, GraphError, Incoming, Message, MessageError, Messages, Outgoing, Purpose,
     Stream, Topology,

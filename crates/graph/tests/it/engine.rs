@@ -120,3 +120,21 @@ fn constant_factors_are_asked_once() {
     resumed.run(&mut Flooding).unwrap();
     assert_eq!(shared.calls.load(Ordering::Relaxed), 1, "a resumed run knows what has been sent");
 }
+
+/// A star: one hub, many leaves, each with a prior. Beliefs of the hub are updated message by message within a
+/// pass and must equal the closed form at its end.
+#[test]
+fn a_hub_of_many_edges_costs_one_pass_and_is_exact() {
+    let leaves = 100_000;
+    let (mut graph, x) = variables::<true>(leaves + 1);
+    for leaf in 1..=leaves {
+        graph.factor("prior", Linear::prior(leaf as f64 / leaves as f64, 1.0), &x[leaf..=leaf]).unwrap();
+        graph.factor("link", Linear::step(0.0, 1.0), &[x[0], x[leaf]]).unwrap();
+    }
+    let mut engine = Engine::new(&graph, Options::default()).unwrap();
+    engine.run(&mut ForwardBackward::new()).unwrap();
+    let belief = engine.belief(x[0]);
+    assert!((belief.variance() * leaves as f64 / 2.0 - 1.0).abs() < 1e-9, "{}", belief.variance());
+    let mean = (leaves as f64 + 1.0) / 2.0 / leaves as f64;
+    assert!((belief.mean() - mean).abs() < 1e-9, "{}", belief.mean());
+}

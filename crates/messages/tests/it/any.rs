@@ -288,3 +288,13 @@ fn flooding_multiplies_what_it_cannot_divide() {
         }
     }
 }
+
+#[test]
+fn headings_on_either_side_of_the_cut_are_near() {
+    let heading = Space::new([Coordinate::Angle]);
+    let near = |mean: f64| AnyMessage::gaussian(&heading, &[mean], &[0.01]).unwrap();
+    let belief = product(&[near(3.1), near(-3.1)], &AnyForm::gaussian(), 0).unwrap().moments().unwrap();
+    let distance = (belief.mean[0] - std::f64::consts::PI).abs();
+    assert!(distance < 1e-12, "{}", belief.mean[0]);
+    assert!((belief.covariance[0] - 0.005).abs() < 1e-15);
+}

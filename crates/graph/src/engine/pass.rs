@@ -1,0 +1,270 @@
+//! One edge at a time: messages computed together or in order, and the beliefs that follow them.
+
+use super::{Engine, FEW_MESSAGES, HUB_EDGES, Options, Outgoing, PARALLEL_EDGES, Scratch, State};
+use crate::{
+    EdgeId, Factor, FactorGraph, FactorId, GraphError, Incoming, Message, MessageError, Messages, Pass,
+    Purpose, Stream, Topology, VariableId,
+};
+use rayon::prelude::*;
+
+/// Brings the belief of `variable` up to date.
+pub(super) fn refresh<M: Message, F: Factor<M>>(
+    graph: &FactorGraph<M, F>,
+    topology: &Topology,
+    options: &Options,
+    state: &mut State<M>,
+    belief_forms: &[M::Form],
+    variable: usize,
+) -> Result<(), GraphError> {
+    let State { iteration, messages, beliefs, priors, guessed, .. } = state;
+    let edges = topology.raw_edges_of_variable(variable);
+    let incoming = Messages::new(messages, edges).with_prior(priors[variable].as_ref());
+    if incoming.is_empty() {
+        return Ok(());
+    }
+    let mut stream = Stream::new(options.seed, *iteration, Purpose::Belief, variable as u64);
+    let (form, belief) = (&belief_forms[variable], &mut beliefs[variable]);
+    let outcome = if guessed[variable] {
+        replace_guess(incoming, form, &mut stream, belief, &mut guessed[variable])
+    } else {
+        M::product_into(incoming, form, &mut stream, belief)
+    };
+    outcome.map_err(|source| product_error(graph, variable, *iteration, source))
+}
+
+/// The product of `incoming`; the start keeps standing in for a belief that is not yet a distribution.
+pub(super) fn replace_guess<M: Message>(
+    incoming: Messages<'_, M>,
+    form: &M::Form,
+    stream: &mut Stream,
+    belief: &mut M,
+    guessed: &mut bool,
+) -> Result<(), MessageError> {
+    let mut product = belief.clone();
+    M::product_into(incoming, form, stream, &mut product)?;
+    if product.is_proper() {
+        *belief = product;
+        *guessed = false;
+    }
+    Ok(())
+}
+
+pub(super) fn product_error<M: Message, F: Factor<M>>(
+    graph: &FactorGraph<M, F>,
+    variable: usize,
+    iteration: u64,
+    source: MessageError,
+) -> GraphError {
+    GraphError::Product { variable: graph.variable_name(VariableId(variable as u32)), iteration, source }
+}
+
+pub(super) fn rule_error<M: Message, F: Factor<M>>(
+    graph: &FactorGraph<M, F>,
+    factor: FactorId,
+    edge: usize,
+    iteration: u64,
+    source: MessageError,
+) -> GraphError {
+    let port = edge - graph.edge_range(factor).start;
+    let variable = graph.variable_name(VariableId(graph.edge_variable[edge]));
+    GraphError::Rule { factor: graph.factor_name(factor), port, variable, iteration, source }
+}
+
+/// A pass over a borrowed topology, so that schedules can read it while the engine works.
+pub(super) struct Run<'e, 'g, M: Message, F> {
+    pub(super) engine: &'e mut Engine<'g, M, F>,
+    pub(super) topology: &'e Topology,
+}
+
+impl<M: Message, F: Factor<M>> Run<'_, '_, M, F> {
+    fn refresh(&mut self, variable: usize) -> Result<(), GraphError> {
+        let Engine { graph, state, belief_forms, options, .. } = &mut *self.engine;
+        refresh(graph, self.topology, options, state, belief_forms, variable)
+    }
+}
+
+/// Computes the message along `edge` into `scratch.output`; returns how far it moved.
+fn compute<M: Message, F: Factor<M>>(
+    graph: &FactorGraph<M, F>,
+    topology: &Topology,
+    options: &Options,
+    state: &State<M>,
+    belief_forms: &[M::Form],
+    scratch: &mut Scratch<M>,
+    edge: EdgeId,
+) -> Result<f64, GraphError> {
+    let factor = topology.factor_of(edge);
+    let iteration = state.iteration;
+    let first = topology.first_edge(factor.index());
+    let variables = topology.raw_variables_of_factor(factor.index());
+    for (port, &variable) in variables.iter().enumerate() {
+        let (into, variable) = (first + port, variable as usize);
+        if into == edge.index() {
+            continue;
+        }
+        let input = &mut scratch.inputs[port];
+        if options.outgoing == Outgoing::Broadcast {
+            input.clone_from(&state.beliefs[variable]);
+            continue;
+        }
+        let mut stream = Stream::new(options.seed, iteration, Purpose::Extrinsic, into as u64);
+        extrinsic(topology, state, &belief_forms[variable], variable, into, &mut stream, input)
+            .map_err(|source| product_error(graph, variable, iteration, source))?;
+    }
+    let incoming = Incoming::trusted(&scratch.inputs, &state.beliefs, variables);
+    let mut stream = Stream::new(options.seed, iteration, Purpose::Message, edge.index() as u64);
+    let (to, form) = (edge.index() - first, &graph.edge_form[edge.index()]);
+    let rule = &graph.factors[factor.index()];
+    rule.message_into(to, &incoming, form, &mut stream, &mut scratch.output)
+        .map_err(|source| rule_error(graph, factor, edge.index(), iteration, source))?;
+    let previous = &state.messages[edge.index()];
+    let damping = if state.sent[edge.index()] { options.damping } else { 0.0 };
+    settle(&mut scratch.output, previous, damping)
+        .map_err(|source| rule_error(graph, factor, edge.index(), iteration, source))
+}
+
+/// Moves a new message towards the old one.
+pub(super) fn damp<M: Message>(message: &mut M, previous: &M, damping: f64) -> Result<(), MessageError> {
+    if message.damp(previous, damping) {
+        return Ok(());
+    }
+    Err(MessageError::Unsupported("messages of this form cannot be damped; set damping to 0".into()))
+}
+
+/// Damps a new message and measures how far it moved.
+fn settle<M: Message>(message: &mut M, previous: &M, damping: f64) -> Result<f64, MessageError> {
+    if damping > 0.0 {
+        damp(message, previous, damping)?;
+    }
+    let change = message.change(previous);
+    if change.is_nan() {
+        return Err(MessageError::NotFinite { what: "the change of the message", value: change });
+    }
+    Ok(change)
+}
+
+/// What `variable` sends along `edge`: its belief without that edge's message.
+pub(super) fn extrinsic<M: Message>(
+    topology: &Topology,
+    state: &State<M>,
+    form: &M::Form,
+    variable: usize,
+    edge: usize,
+    stream: &mut Stream,
+    out: &mut M,
+) -> Result<(), MessageError> {
+    let edges = topology.raw_edges_of_variable(variable);
+    let others = Messages::new(&state.messages, edges).with_prior(state.priors[variable].as_ref());
+    let divide = !state.guessed[variable] && (M::EXACT_QUOTIENT || others.len() > FEW_MESSAGES);
+    if divide && state.beliefs[variable].quotient_into(&state.messages[edge], out) {
+        return Ok(());
+    }
+    let others = others.without(edge as u32);
+    if others.is_empty() {
+        out.clone_from(&state.vacuous[state.vacuous_of[variable] as usize]);
+        return Ok(());
+    }
+    // A product may read the belief it replaces (the particles that carry it).
+    out.clone_from(&state.beliefs[variable]);
+    M::product_into(others, form, stream, out)
+}
+
+impl<M: Message, F: Factor<M>> Pass for Run<'_, '_, M, F> {
+    fn damping(&self) -> f64 {
+        self.engine.options.damping
+    }
+
+    fn everything(&mut self) -> Result<f64, GraphError> {
+        super::flood::everything(self.engine, self.topology)
+    }
+
+    fn together(&mut self, edges: &[EdgeId]) -> Result<f64, GraphError> {
+        let Engine { graph, options, state, belief_forms, scratch, pending, touched, .. } = &mut *self.engine;
+        let topology = self.topology;
+        if pending.len() < edges.len() {
+            pending.resize(edges.len(), scratch.output.clone());
+        }
+        let mut largest: f64 = 0.0;
+        if options.parallel && edges.len() >= PARALLEL_EDGES {
+            // Collected as results, so that of several errors the first in order is returned.
+            let changes: Vec<Result<f64, GraphError>> = edges
+                .par_iter()
+                .zip(pending.par_iter_mut())
+                .map_init(
+                    || scratch.clone(),
+                    |scratch, (&edge, slot)| {
+                        let change = compute(graph, topology, options, state, belief_forms, scratch, edge)?;
+                        std::mem::swap(slot, &mut scratch.output);
+                        Ok(change)
+                    },
+                )
+                .collect();
+            for change in changes {
+                largest = largest.max(change?);
+            }
+        } else {
+            for (&edge, slot) in edges.iter().zip(pending.iter_mut()) {
+                largest = largest.max(compute(graph, topology, options, state, belief_forms, scratch, edge)?);
+                std::mem::swap(slot, &mut scratch.output);
+            }
+        }
+        touched.clear();
+        for (&edge, slot) in edges.iter().zip(pending.iter_mut()) {
+            std::mem::swap(&mut state.messages[edge.index()], slot);
+            state.sent[edge.index()] = true;
+            touched.push(topology.variable_of(edge).0);
+        }
+        touched.sort_unstable();
+        touched.dedup();
+        for index in 0..self.engine.touched.len() {
+            self.refresh(self.engine.touched[index] as usize)?;
+        }
+        Ok(largest)
+    }
+
+    fn in_order(&mut self, edges: &[EdgeId]) -> Result<f64, GraphError> {
+        let mut largest: f64 = 0.0;
+        self.engine.touched.clear();
+        for &edge in edges {
+            let Engine { graph, options, state, belief_forms, scratch, .. } = &mut *self.engine;
+            largest =
+                largest.max(compute(graph, self.topology, options, state, belief_forms, scratch, edge)?);
+            std::mem::swap(&mut state.messages[edge.index()], &mut scratch.output);
+            state.sent[edge.index()] = true;
+            let variable = self.topology.variable_of(edge).index();
+            if self.replace_in_hub(edge, variable)? {
+                self.engine.touched.push(variable as u32);
+            } else {
+                self.refresh(variable)?;
+            }
+        }
+        self.engine.touched.sort_unstable();
+        self.engine.touched.dedup();
+        for index in 0..self.engine.touched.len() {
+            self.refresh(self.engine.touched[index] as usize)?;
+        }
+        Ok(largest)
+    }
+}
+
+impl<M: Message, F: Factor<M>> Run<'_, '_, M, F> {
+    /// Replaces one message, of which the old one is in the scratch, in the belief of a variable with many edges;
+    /// false where the belief must be computed anew.
+    fn replace_in_hub(&mut self, edge: EdgeId, variable: usize) -> Result<bool, GraphError> {
+        let Engine { graph, options, state, belief_forms, scratch, exchange, .. } = &mut *self.engine;
+        let edges = self.topology.raw_edges_of_variable(variable);
+        if !M::ALWAYS_DIVIDES || edges.len() < HUB_EDGES || state.guessed[variable] {
+            return Ok(false);
+        }
+        let belief = &mut state.beliefs[variable];
+        if !belief.quotient_into(&scratch.output, &mut exchange[0]) {
+            return Ok(false);
+        }
+        exchange[1].clone_from(&state.messages[edge.index()]);
+        let mut stream = Stream::new(options.seed, state.iteration, Purpose::Belief, variable as u64);
+        let pair = Messages::new(&exchange[..], &[0, 1]);
+        M::product_into(pair, &belief_forms[variable], &mut stream, belief)
+            .map_err(|source| product_error(graph, variable, state.iteration, source))?;
+        Ok(true)
+    }
+}

@@ -1,0 +1,116 @@
+//! Conversions between families, and what they cost.
+
+use crate::kernel::floor_diagonal;
+use crate::moments::gaussian_divergence;
+use crate::particles::{Role, Support};
+use crate::{DynamicGaussian, Particles};
+use rand_distr::{Distribution, StandardNormal};
+use smallvec::SmallVec;
+use std::f64::consts::TAU;
+use std::sync::Arc;
+use sumprod_graph::{Coordinate, Message, MessageError, Space, Stream};
+
+pub(super) fn no_distribution() -> MessageError {
+    let reason = "particles that are no sample (empty, or values of a likelihood) have no moments; hold this \
+                  belief in particles";
+    MessageError::Unsupported(reason.into())
+}
+
+/// A sample's moments; the loss is its negentropy, by third and fourth cumulants of the whitened coordinates
+/// (Hyvärinen 1998): Σ κ₃²/12 + κ₄²/48.
+pub(super) fn particles_to_gaussian(particles: &Particles) -> Result<(DynamicGaussian, f64), MessageError> {
+    if particles.is_empty() {
+        return Ok((DynamicGaussian::flat(particles.dimension()), 0.0));
+    }
+    if particles.role() == Role::Likelihood {
+        return Err(no_distribution());
+    }
+    let mut moments = particles.moments();
+    let d = moments.dimension();
+    floor_diagonal(&mut moments.covariance, d);
+    let gaussian = DynamicGaussian::from_moments(&moments.mean, &moments.covariance)?;
+    let factor = crate::Cholesky::new(&moments.covariance, d, "the covariance of the particles")?;
+    let mut cumulants = vec![(0.0, 0.0); d];
+    let mut offset = vec![0.0; d];
+    for (index, weight) in particles.weights().iter().enumerate() {
+        particles.offset(particles.point(index), &moments.mean, &mut offset);
+        factor.solve_lower(&mut offset);
+        for ((third, fourth), z) in cumulants.iter_mut().zip(&offset) {
+            *third += weight * z * z * z;
+            *fourth += weight * z * z * z * z;
+        }
+    }
+    let loss =
+        cumulants.iter().map(|(third, fourth)| third * third / 12.0 + (fourth - 3.0).powi(2) / 48.0).sum();
+    Ok((gaussian, loss))
+}
+
+/// Draws from a Gaussian; the loss is the divergence from it to the Gaussian with the sample's moments.
+pub(super) fn gaussian_to_particles(
+    gaussian: &DynamicGaussian,
+    coordinates: &Arc<[Coordinate]>,
+    count: usize,
+    stream: &mut Stream,
+) -> Result<(Particles, f64), MessageError> {
+    if gaussian.is_flat() {
+        return Ok((Particles::vacuous(&Space::new(coordinates.to_vec())), 0.0));
+    }
+    let particles = draw(gaussian, coordinates, count, stream)?;
+    let exact = gaussian.moments()?;
+    let mut drawn = particles.moments();
+    floor_diagonal(&mut drawn.covariance, exact.dimension());
+    for ((drawn, exact), kind) in drawn.mean.iter_mut().zip(&exact.mean).zip(coordinates.iter()) {
+        if *kind == Coordinate::Angle {
+            *drawn = exact + sumprod_graph::wrap_angle(*drawn - exact);
+        }
+    }
+    let loss = if count > exact.dimension() { gaussian_divergence(&exact, &drawn)? } else { f64::INFINITY };
+    Ok((particles, loss))
+}
+
+fn draw(
+    gaussian: &DynamicGaussian,
+    coordinates: &Arc<[Coordinate]>,
+    count: usize,
+    stream: &mut Stream,
+) -> Result<Particles, MessageError> {
+    let d = gaussian.dimension();
+    let information = gaussian.factor()?;
+    let mut mean = gaussian.information_vector().to_vec();
+    information.solve(&mut mean);
+    let space = Space::new(coordinates.to_vec());
+    let log_normaliser = 0.5 * (information.log_determinant() - d as f64 * TAU.ln());
+    let mut random = stream.fast();
+    let mut points = Vec::with_capacity(count * d);
+    let mut log_proposal = Vec::with_capacity(count);
+    let mut z: SmallVec<[f64; 6]> = SmallVec::from_elem(0.0, d);
+    for _ in 0..count {
+        z.iter_mut().for_each(|z| *z = StandardNormal.sample(&mut random));
+        log_proposal.push(log_normaliser - 0.5 * z.iter().map(|z| z * z).sum::<f64>());
+        // With Λ = L L', L'⁻¹ z has covariance Λ⁻¹.
+        information.solve_upper(&mut z);
+        let start = points.len();
+        points.extend(mean.iter().zip(&z).map(|(mean, offset)| mean + offset));
+        space.wrap(&mut points[start..]);
+    }
+    let support = Support { coordinates: coordinates.to_vec(), points, log_proposal: Some(log_proposal) };
+    let log_weights = vec![-(count as f64).ln(); count];
+    Ok(Particles { support: Arc::new(support), log_weights, role: Role::Sample })
+}
+
+/// Log value of a Gaussian message at a point, angles taken on the turn nearest the message's mean.
+pub(super) fn log_value(gaussian: &DynamicGaussian, coordinates: &[Coordinate], point: &[f64]) -> f64 {
+    if !coordinates.contains(&Coordinate::Angle) {
+        return gaussian.log_value(point);
+    }
+    let mut mean: SmallVec<[f64; 6]> = SmallVec::from_elem(0.0, point.len());
+    let mut near: SmallVec<[f64; 6]> = SmallVec::from_slice(point);
+    if gaussian.mean_into(&mut mean).is_ok() {
+        for ((x, mean), kind) in near.iter_mut().zip(&mean).zip(coordinates) {
+            if *kind == Coordinate::Angle {
+                *x = mean + sumprod_graph::wrap_angle(*x - mean);
+            }
+        }
+    }
+    gaussian.log_value(&near)
+}

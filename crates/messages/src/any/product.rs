@@ -1,0 +1,156 @@
+//! Products of messages in different forms.
+
+use super::convert::{gaussian_to_particles, log_value, particles_to_gaussian};
+use super::{AnyMessage, AnyValue};
+use crate::particles::{Role, carrier};
+use crate::{DynamicGaussian, Particles, ParticlesForm};
+use smallvec::SmallVec;
+use std::f64::consts::TAU;
+use sumprod_graph::{Coordinate, Message, MessageError, Messages, Stream};
+
+pub(super) fn gaussian_product(
+    incoming: Messages<'_, AnyMessage>,
+    out: &mut AnyMessage,
+) -> Result<(), MessageError> {
+    if !matches!(out.value, AnyValue::Gaussian(_)) {
+        out.value = AnyValue::Gaussian(DynamicGaussian::default());
+    }
+    let mut loss = 0.0;
+    let mut turns = Turns::new(&out.coordinates);
+    if let AnyValue::Gaussian(product) = &mut out.value {
+        for (index, message) in incoming.iter().enumerate() {
+            let converted;
+            let gaussian = match &message.value {
+                AnyValue::Gaussian(gaussian) => gaussian,
+                AnyValue::Particles(particles) => {
+                    let (gaussian, cost) = particles_to_gaussian(particles)?;
+                    loss += cost;
+                    converted = gaussian;
+                    &converted
+                }
+            };
+            match turns.aligned(gaussian) {
+                Some(shifted) if index == 0 => *product = shifted,
+                Some(shifted) => product.add(&shifted)?,
+                None if index == 0 => product.clone_from(gaussian),
+                None => product.add(gaussian)?,
+            }
+        }
+    }
+    out.lose(loss);
+    Ok(())
+}
+
+/// Brings Gaussians on angles to the turn of the first that has a mean: 3.1 and -3.1 rad are near, not opposite.
+struct Turns<'a> {
+    coordinates: &'a [Coordinate],
+    reference: Option<SmallVec<[f64; 6]>>,
+}
+
+impl<'a> Turns<'a> {
+    fn new(coordinates: &'a [Coordinate]) -> Self {
+        Self { coordinates, reference: None }
+    }
+
+    /// The message on the reference's turn, where it is on another.
+    fn aligned(&mut self, gaussian: &DynamicGaussian) -> Option<DynamicGaussian> {
+        if !self.coordinates.contains(&Coordinate::Angle) {
+            return None;
+        }
+        let mut mean: SmallVec<[f64; 6]> = SmallVec::from_elem(0.0, gaussian.dimension());
+        gaussian.mean_into(&mut mean).ok()?;
+        let Some(reference) = &self.reference else {
+            self.reference = Some(mean);
+            return None;
+        };
+        let shift: SmallVec<[f64; 6]> = self
+            .coordinates
+            .iter()
+            .zip(mean.iter().zip(reference))
+            .map(|(kind, (own, other))| match kind {
+                Coordinate::Angle => TAU * ((other - own) / TAU).round(),
+                Coordinate::Real => 0.0,
+            })
+            .collect();
+        shift.iter().any(|&turn| turn != 0.0).then(|| gaussian.shifted(&shift))
+    }
+}
+
+pub(super) fn particle_product(
+    incoming: Messages<'_, AnyMessage>,
+    form: &ParticlesForm,
+    stream: &mut Stream,
+    out: &mut AnyMessage,
+) -> Result<(), MessageError> {
+    let all: SmallVec<[&AnyMessage; 16]> = incoming.iter().collect();
+    let gaussians = || {
+        all.iter().filter_map(|message| match &message.value {
+            AnyValue::Gaussian(gaussian) if !gaussian.is_flat() => Some(gaussian),
+            _ => None,
+        })
+    };
+    let sets = all.iter().filter_map(|message| message.particles());
+    let carried = carrier(sets.clone());
+    let base = match carried {
+        Some(sample) if sample.role() == Role::Sample => sample,
+        // Likelihoods on points drawn from a known density: those points carry the product by importance.
+        Some(values) if values.support.log_proposal.is_some() && gaussians().next().is_some() => values,
+        Some(values) if gaussians().next().is_none() => values,
+        _ => return drawn_product(&all, form, stream, out),
+    };
+    let d = base.dimension();
+    let mut product = match &mut out.value {
+        // The storage of the old belief serves the new one.
+        AnyValue::Particles(old) => std::mem::take(old),
+        AnyValue::Gaussian(_) => Particles::default(),
+    };
+    product.clone_from(base);
+    for other in sets.filter(|other| !std::ptr::eq(*other, base)) {
+        product.absorb(other)?;
+    }
+    for gaussian in gaussians() {
+        for (log, point) in product.log_weights.iter_mut().zip(product.support.points.chunks_exact(d)) {
+            *log += log_value(gaussian, &out.coordinates, point);
+        }
+    }
+    if base.role() == Role::Likelihood
+        && gaussians().next().is_some()
+        && let Some(log_proposal) = &base.support.log_proposal
+    {
+        for (log, proposal) in product.log_weights.iter_mut().zip(log_proposal) {
+            *log -= proposal;
+        }
+        product.role = Role::Sample;
+    }
+    product.normalise("the product of messages")?;
+    out.value = AnyValue::Particles(product);
+    Ok(())
+}
+
+/// No points yet, or only likelihoods whose points have no known density: points are drawn from the product of
+/// the Gaussian messages. A product that is not yet a distribution stays Gaussian.
+fn drawn_product(
+    all: &[&AnyMessage],
+    form: &ParticlesForm,
+    stream: &mut Stream,
+    out: &mut AnyMessage,
+) -> Result<(), MessageError> {
+    let mut product = DynamicGaussian::flat(out.coordinates.len());
+    for message in all {
+        if let AnyValue::Gaussian(gaussian) = &message.value {
+            product.add(gaussian)?;
+        }
+    }
+    if !product.is_proper() {
+        out.value = AnyValue::Gaussian(product);
+        return Ok(());
+    }
+    let (mut particles, loss) = gaussian_to_particles(&product, &out.coordinates, form.count, stream)?;
+    for other in all.iter().filter_map(|message| message.particles()) {
+        particles.absorb(other)?;
+    }
+    particles.normalise("the product of messages")?;
+    out.value = AnyValue::Particles(particles);
+    out.lose(loss);
+    Ok(())
+}
