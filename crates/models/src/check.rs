@@ -64,7 +64,8 @@ pub fn check_residual<R: Residual>(
                 let difference = rise / (2.0 * step);
                 let derivative = jacobian[component * n + column];
                 let allowed = tolerance * derivative.abs().max(1.0);
-                if !((derivative - difference).abs() <= allowed) {
+                let agrees = (derivative - difference).abs() <= allowed;
+                if !agrees {
                     return Err(DerivativeMismatch { component, port, coordinate, derivative, difference });
                 }
             }

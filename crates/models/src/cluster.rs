@@ -6,7 +6,7 @@
 
 use crate::residual::{Linearised, Residual, ResidualModel};
 use crate::rules::{GaussianDraft, GaussianView, ParticleView, Rules};
-use crate::small::{Matrix, Vector, multiply, symmetrise, transpose, zero_vector, zeros};
+use crate::small::{Matrix, Vector, multiply, transpose, zero_vector, zeros};
 use sumprod_graph::{MessageError, Port, Stream};
 use sumprod_messages::{Cholesky, Particles, ParticlesForm};
 
@@ -59,8 +59,9 @@ impl Cluster {
             if block.length != expected {
                 return Err(MessageError::Dimension { what: "a block", found: block.length, expected });
             }
-            if block.start + block.length > self.dimension[0] {
-                let (found, expected) = (block.start + block.length, self.dimension[0]);
+            let end = block.start.saturating_add(block.length);
+            if end > self.dimension[0] {
+                let (found, expected) = (end, self.dimension[0]);
                 return Err(MessageError::Dimension { what: "the end of a block", found, expected });
             }
         }
@@ -105,7 +106,7 @@ impl Rules for Cluster {
         information.iter_mut().for_each(|entry| *entry = 0.0);
         let mut vector = zero_vector(d);
         for part in &self.parts {
-            part.accumulate(&mean, covariance.as_deref(), &mut information, &mut vector)?;
+            part.accumulate(&mean, covariance.as_deref(), &mut information, &mut vector);
         }
         Ok(GaussianDraft { information, vector, loss: 0.0 })
     }
@@ -148,7 +149,7 @@ impl Part {
         covariance: Option<&[f64]>,
         information: &mut [f64],
         vector: &mut [f64],
-    ) -> Result<(), MessageError> {
+    ) {
         let d = mean.len();
         let (m, n) = (self.model.noise().dimension(), self.coordinates.len());
         let point: Vector = self.coordinates.iter().map(|&coordinate| mean[coordinate]).collect();
@@ -162,11 +163,8 @@ impl Part {
                 .iter()
                 .flat_map(|&row| self.coordinates.iter().map(move |&column| covariance[row * d + column]))
                 .collect();
-            let mut total = multiply(&multiply(&jacobian, &own, n, n), &transpose(&jacobian, m, n), n, m);
-            total.iter_mut().zip(noise.covariance()).for_each(|(total, noise)| *total += noise);
-            symmetrise(&mut total, m);
-            let factor = Cholesky::new(&total, m, "the residual's covariance")?;
-            let share = noise.weight(factor.squared_length(&mut residual.clone()));
+            let spread = multiply(&multiply(&jacobian, &own, n, n), &transpose(&jacobian, m, n), n, m);
+            let share = noise.weight(noise.expected_squared_length(&residual, &spread));
             weight.iter_mut().for_each(|entry| *entry *= share);
         }
         let back = transpose(&jacobian, m, n);
@@ -181,6 +179,5 @@ impl Part {
                 information[to * d + from] += 0.5 * (own[row * n + column] + own[column * n + row]);
             }
         }
-        Ok(())
     }
 }

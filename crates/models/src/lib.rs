@@ -12,6 +12,7 @@
 //! [`AddModel`] puts them into a graph; [`check_residual`] holds a residual against finite differences.
 
 mod add;
+mod blocks;
 mod check;
 mod cluster;
 mod dual;
@@ -24,6 +25,7 @@ mod rules;
 mod small;
 
 pub use add::AddModel;
+pub use blocks::Blocks;
 pub use check::{DerivativeMismatch, check_residual};
 pub use cluster::{Block, Cluster};
 pub use dual::Real;

@@ -16,6 +16,6 @@ pub use displacement::Displacement;
 pub use linear::LinearGaussian;
 pub use linear_pair::LinearPair;
 pub use prior::Prior;
-pub use range::{AnchorRange, CalibratedRange, Range};
+pub use range::{AnchorRange, CalibratedRange, Range, distance};
 pub use relative::{AnchorOffset, RelativePosition};
 pub use unicycle::Unicycle;

@@ -2,7 +2,7 @@
 
 use crate::Rules;
 use crate::rules::View;
-use sumprod_graph::{Factor, Incoming, MessageError, Port, Stream};
+use sumprod_graph::{Coordinate, Factor, Incoming, MessageError, Port, Stream};
 use sumprod_messages::{
     AnyForm, AnyMessage, DynamicGaussian, Gaussian, GaussianFamily, GaussianForm, ParticleFamily, Particles,
     ParticlesForm,
@@ -18,9 +18,10 @@ impl<T: Rules> Model<T> {
         to: Port,
         incoming: &Incoming<'_, M>,
         form: GaussianForm,
+        wrapped: fn(&M) -> &[Coordinate],
         out: &mut M,
     ) -> Result<(), MessageError> {
-        let draft = self.0.gaussian(to, &View { incoming, form })?;
+        let draft = self.0.gaussian(to, &View { incoming, form, wrapped })?;
         out.write_information(incoming.belief(to), &draft.information, &draft.vector, draft.loss)
     }
 
@@ -32,7 +33,7 @@ impl<T: Rules> Model<T> {
         stream: &mut Stream,
         out: &mut M,
     ) -> Result<(), MessageError> {
-        let view = View { incoming, form: GaussianForm::default() };
+        let view = View { incoming, form: GaussianForm::default(), wrapped: |_| &[] };
         out.write_particles(incoming.belief(to), |particles| {
             self.0.particles(to, &view, form, stream, particles)
         })
@@ -66,7 +67,7 @@ macro_rules! gaussian_factor {
                 _stream: &mut Stream,
                 out: &mut $family,
             ) -> Result<(), MessageError> {
-                self.gaussian_into(to, incoming, *form, out)
+                self.gaussian_into(to, incoming, *form, |_| &[], out)
             }
 
             fn is_constant(&self) -> bool {
@@ -108,6 +109,11 @@ impl<T: Rules> Factor<Particles> for Model<T> {
     }
 }
 
+/// Angles of particles are read by the direction of their mean, which lies in (-π, π].
+fn wrapped(message: &AnyMessage) -> &[Coordinate] {
+    message.particles().map_or(&[], Particles::coordinates)
+}
+
 impl<T: Rules> Factor<AnyMessage> for Model<T> {
     fn dimensions(&self) -> &[usize] {
         self.0.dimensions()
@@ -134,7 +140,7 @@ impl<T: Rules> Factor<AnyMessage> for Model<T> {
         out: &mut AnyMessage,
     ) -> Result<(), MessageError> {
         match form {
-            AnyForm::Gaussian(form) => self.gaussian_into(to, incoming, *form, out),
+            AnyForm::Gaussian(form) => self.gaussian_into(to, incoming, *form, wrapped, out),
             AnyForm::Particles(form) => self.particles_into(to, incoming, form, stream, out),
         }
     }

@@ -6,12 +6,13 @@ use crate::dual::{Lanes, differentiate};
 use crate::rules::particles::Guided;
 use crate::rules::{GaussianDraft, GaussianView, ParticleView};
 use crate::small::{
-    Matrix, Vector, multiply, multiply_add, solve, symmetrise, transpose, zero_vector, zeros,
+    Matrix, Proper, Vector, WELL_CONDITIONED, check_symmetric, invert, multiply, multiply_add, proper, solve,
+    symmetrise, transpose, zero_vector, zeros,
 };
 use crate::{Real, Rules};
 use smallvec::SmallVec;
 use sumprod_graph::{MessageError, Port, Stream};
-use sumprod_messages::{Cholesky, Particles, ParticlesForm, Proposal};
+use sumprod_messages::{Cholesky, Moments, Particles, ParticlesForm, Proposal};
 
 /// Process noise by a factor B (state by sources, row-major): covariance B B'.
 #[derive(Clone, Debug, PartialEq)]
@@ -27,13 +28,18 @@ impl ProcessNoise {
     ///
     /// # Errors
     ///
-    /// Where the sources' covariance is not positive definite or sizes do not agree.
+    /// Where the sources' covariance is not symmetric positive definite, a number is not finite, or sizes do not
+    /// agree.
     pub fn driven(gain: &[f64], covariance: &[f64]) -> Result<Self, MessageError> {
         let sources = covariance.len().isqrt();
         if sources == 0 || sources * sources != covariance.len() || !gain.len().is_multiple_of(sources) {
             let (found, expected) = (gain.len(), sources);
             return Err(MessageError::Dimension { what: "the gain of the process noise", found, expected });
         }
+        if let Some(&value) = gain.iter().find(|value| !value.is_finite()) {
+            return Err(MessageError::NotFinite { what: "an entry of the gain", value });
+        }
+        check_symmetric(covariance, sources, "the covariance of the noise sources")?;
         let dimension = gain.len() / sources;
         let lower = Cholesky::new(covariance, sources, "the process noise")?;
         let mut factor = SmallVec::from_elem(0.0, dimension * sources);
@@ -56,13 +62,11 @@ impl ProcessNoise {
     /// Where it is not symmetric positive semidefinite.
     pub fn from_covariance(covariance: &[f64]) -> Result<Self, MessageError> {
         let d = covariance.len().isqrt();
-        if d * d != covariance.len() {
+        if d == 0 || d * d != covariance.len() {
             let (found, expected) = (covariance.len(), d * d);
             return Err(MessageError::Dimension { what: "the process noise", found, expected });
         }
-        if let Some(&value) = covariance.iter().find(|value| !value.is_finite()) {
-            return Err(MessageError::NotFinite { what: "an entry of the process noise", value });
-        }
+        check_symmetric(covariance, d, "the process noise")?;
         let eigen = nalgebra::DMatrix::from_row_slice(d, d, covariance).symmetric_eigen();
         let largest = eigen.eigenvalues.amax();
         let mut factor = SmallVec::from_elem(0.0, d * d);
@@ -102,10 +106,13 @@ impl ProcessNoise {
         Ok(Self { dimension: d, sources: d, factor })
     }
 
-    /// Noise of the covariance B B' for this factor B (`dimension` rows, row-major).
+    /// Noise of the covariance B B' for this factor B (`dimension` rows, row-major). An empty one is no noise, and
+    /// entries short of a last row are zero.
     pub fn from_factor(dimension: usize, factor: &[f64]) -> Self {
-        let sources = factor.len() / dimension.max(1);
-        Self { dimension, sources, factor: SmallVec::from_slice(factor) }
+        let sources = factor.len().div_ceil(dimension.max(1)).max(1);
+        let mut factor = SmallVec::from_slice(factor);
+        factor.resize(dimension * sources, 0.0);
+        Self { dimension, sources, factor }
     }
 
     /// Number of state coordinates.
@@ -173,34 +180,55 @@ impl<T: Motion> Transition<T> {
         (next, jacobian)
     }
 
+    /// The mean f(x̄) + F (m - x̄) and the covariance F P F' + B B' of the next state, for a state of mean m and
+    /// covariance P.
+    fn ahead(&self, at: &[f64], mean: &[f64], covariance: &[f64]) -> (Vector, Matrix) {
+        let d = at.len();
+        let (mut ahead, jacobian) = self.linearise(at);
+        let moved = multiply(&jacobian, covariance, d, d);
+        let mut predicted = multiply(&moved, &transpose(&jacobian, d, d), d, d);
+        add_covariance(&self.motion.noise(at), &mut predicted);
+        symmetrise(&mut predicted, d);
+        let offset: Vector = mean.iter().zip(at).map(|(mean, at)| mean - at).collect();
+        multiply_add(&jacobian, &offset, d, 1, &mut ahead);
+        (ahead, predicted)
+    }
+
+    /// Mean and covariance of the next state, linearised at the mean: what an estimate between two slices is.
+    ///
+    /// # Errors
+    ///
+    /// Where the dimension is not the motion's.
+    pub fn predict_moments(&self, state: &Moments) -> Result<Moments, MessageError> {
+        let (found, expected) = (state.dimension(), self.dimensions[0]);
+        if found != expected {
+            return Err(MessageError::Dimension { what: "the state", found, expected });
+        }
+        let (mean, covariance) = self.ahead(&state.mean, &state.mean, &state.covariance);
+        Ok(Moments { mean: mean.to_vec(), covariance: covariance.to_vec() })
+    }
+
     /// Prediction. A proper message by its moments, mean f(x̄) + F (m - x̄) and covariance F P F' + B B'; an
-    /// improper one as (I + M B B')⁻¹ M, M = F⁻ᵀ Λ F⁻¹, for invertible F.
+    /// improper one, or one nearly so, as (I + M B B')⁻¹ M, M = F⁻ᵀ Λ F⁻¹, for invertible F.
     fn predict(&self, view: &dyn GaussianView) -> Result<GaussianDraft, MessageError> {
         let d = self.dimensions[0];
         let (mut information, mut vector) = (zeros(d * d), zero_vector(d));
         let loss = view.message(0, &mut information, &mut vector)?;
-        let Ok(factor) = Cholesky::new(&information, d, "the message") else {
+        let moments = proper(&information, &vector);
+        let Some(Proper { mean, covariance, inflation }) = moments else {
             return self.predict_improper(view, &information, &vector, loss);
         };
-        let mut mean = vector.clone();
-        factor.solve(&mut mean);
+        if inflation > WELL_CONDITIONED {
+            // A step that cannot be inverted has no information form, and moments must do.
+            if let Ok(draft) = self.predict_improper(view, &information, &vector, loss) {
+                return Ok(draft);
+            }
+        }
         let at = point(view, 0, d)?.unwrap_or_else(|| mean.clone());
-        let (next, jacobian) = self.linearise(&at);
-        let mut covariance = zeros(d * d);
-        factor.inverse(&mut covariance);
-        let moved = multiply(&jacobian, &covariance, d, d);
-        let mut predicted = multiply(&moved, &transpose(&jacobian, d, d), d, d);
-        let noise = self.motion.noise(&at);
-        add_covariance(&noise, &mut predicted);
-        symmetrise(&mut predicted, d);
-        let mut ahead = next;
-        let offset: Vector = mean.iter().zip(&at).map(|(mean, at)| mean - at).collect();
-        multiply_add(&jacobian, &offset, d, 1, &mut ahead);
-        let factor = Cholesky::new(&predicted, d, "the predicted covariance")?;
-        let mut out = zeros(d * d);
-        factor.inverse(&mut out);
-        factor.solve(&mut ahead);
-        Ok(GaussianDraft { information: out, vector: ahead, loss })
+        let (ahead, predicted) = self.ahead(&at, &mean, &covariance);
+        let information = invert(&predicted, d, "the predicted covariance")?;
+        let vector = multiply(&information, &ahead, d, 1).into_iter().collect();
+        Ok(GaussianDraft { information, vector, loss })
     }
 
     fn predict_improper(
@@ -270,10 +298,7 @@ impl<T: Motion> Transition<T> {
 fn point(view: &dyn GaussianView, port: Port, dimension: usize) -> Result<Option<Vector>, MessageError> {
     let (mut information, mut mean) = (zeros(dimension * dimension), zero_vector(dimension));
     view.belief(port, &mut information, &mut mean)?;
-    Ok(Cholesky::new(&information, dimension, "the belief").ok().map(|factor| {
-        factor.solve(&mut mean);
-        mean
-    }))
+    Ok(proper(&information, &mean).map(|belief| belief.mean))
 }
 
 fn add_covariance(noise: &ProcessNoise, out: &mut [f64]) {

@@ -1,5 +1,6 @@
 //! The noise of a residual.
 
+use crate::small::check_symmetric;
 use serde::{Deserialize, Serialize};
 use smallvec::SmallVec;
 use std::f64::consts::TAU;
@@ -48,12 +49,13 @@ impl Noise {
     ///
     /// # Errors
     ///
-    /// Where it is not square, or not positive definite.
+    /// Where it is not square, or not symmetric positive definite.
     pub fn gaussian(covariance: &[f64]) -> Result<Self, NoiseError> {
         let dimension = covariance.len().isqrt();
         if dimension * dimension != covariance.len() || dimension == 0 {
             return Err(NoiseError::NotSquare { found: covariance.len() });
         }
+        check_symmetric(covariance, dimension, "the noise covariance")?;
         let factor = Cholesky::new(covariance, dimension, "the noise covariance")?;
         let mut information = SmallVec::from_elem(0.0, dimension * dimension);
         factor.inverse(&mut information);
@@ -89,8 +91,8 @@ impl Noise {
         Self::diagonal(&vec![variance; dimension])
     }
 
-    /// The same scale with Student-t tails: large residuals lose weight, by (ν + d) / (ν + r'S⁻¹r) in Gaussian
-    /// rules (Lange, Little and Taylor 1989).
+    /// The same scale R with Student-t tails: large residuals lose weight, by (ν + d) / (ν + E r'R⁻¹r) in Gaussian
+    /// rules (Lange, Little and Taylor 1989), the expectation being over the beliefs.
     ///
     /// # Errors
     ///
@@ -138,6 +140,11 @@ impl Noise {
         }
     }
 
+    /// The largest log density there is, that of a zero residual.
+    pub(crate) fn log_peak(&self) -> f64 {
+        self.log_normaliser
+    }
+
     /// Squared Mahalanobis length r'R⁻¹r.
     #[inline]
     pub fn squared_length(&self, residual: &[f64]) -> f64 {
@@ -151,6 +158,12 @@ impl Noise {
             sum += residual[row] * dot;
         }
         sum
+    }
+
+    /// E r'R⁻¹r = r̄'R⁻¹r̄ + tr R⁻¹V for a residual of mean r̄ and covariance V (row-major).
+    pub(crate) fn expected_squared_length(&self, mean: &[f64], covariance: &[f64]) -> f64 {
+        let trace: f64 = self.information.iter().zip(covariance).map(|(w, v)| w * v).sum();
+        self.squared_length(mean) + trace
     }
 
     /// The weight a Gaussian rule gives a residual of this squared length: one for Gaussian noise.

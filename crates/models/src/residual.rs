@@ -82,6 +82,7 @@ fn ports<'a, T>(x: &'a [T], dimensions: &[usize]) -> SmallVec<[&'a [T]; 4]> {
         .collect()
 }
 
+#[inline]
 fn wrap(angles: &[usize], residual: &mut [f64]) {
     for &angle in angles {
         residual[angle] = wrap_angle(residual[angle]);
@@ -89,12 +90,11 @@ fn wrap(angles: &[usize], residual: &mut [f64]) {
 }
 
 impl<R: Residual> ResidualModel<R> {
-    /// The log of the factor at these variables, one slice per port; `residual` is storage.
-    #[inline]
-    pub(crate) fn log_value(&self, x: &[&[f64]], residual: &mut [f64]) -> f64 {
+    /// Writes the residual at these variables, one slice per port; angles wrapped.
+    #[inline(always)]
+    pub(crate) fn residual_at(&self, x: &[&[f64]], residual: &mut [f64]) {
         self.0.residual(x, residual);
         wrap(self.0.angles(), residual);
-        self.0.noise().log_density(residual)
     }
 }
 

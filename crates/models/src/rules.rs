@@ -1,9 +1,13 @@
 //! The rules that follow from a residual or a motion, one module per family.
 
+mod exponential;
 pub(crate) mod linearised;
 pub(crate) mod particles;
+mod selection;
 
+use crate::small::{multiply_add, proper, zero_vector, zeros};
 use smallvec::SmallVec;
+use std::f64::consts::TAU;
 use sumprod_graph::{Coordinate, Incoming, MessageError, Port, Stream};
 use sumprod_messages::{
     DynamicGaussian, GaussianFamily, GaussianForm, ParticleFamily, Particles, ParticlesForm,
@@ -101,11 +105,41 @@ pub trait Rules: Send + Sync {
 pub(crate) struct View<'a, 'i, M> {
     pub(crate) incoming: &'a Incoming<'i, M>,
     pub(crate) form: GaussianForm,
+    /// The coordinates of a message whose angles are read in (-π, π] and not on a turn of its own; none of others.
+    pub(crate) wrapped: fn(&M) -> &[Coordinate],
+}
+
+impl<M: GaussianFamily> View<'_, '_, M> {
+    /// Moves a message to the turn of the belief, where rules linearise.
+    fn align(&self, port: Port, information: &[f64], vector: &mut [f64]) -> Result<(), MessageError> {
+        let (message, belief) = (self.incoming.message(port), self.incoming.belief(port));
+        let coordinates = match (self.wrapped)(message) {
+            [] => (self.wrapped)(belief),
+            coordinates => coordinates,
+        };
+        if !coordinates.contains(&Coordinate::Angle) {
+            return Ok(());
+        }
+        let d = coordinates.len();
+        let (mut own, mut own_vector) = (zeros(d * d), zero_vector(d));
+        belief.read_information(&mut own, &mut own_vector)?;
+        let (Some(at), Some(from)) = (proper(&own, &own_vector), proper(information, vector)) else {
+            return Ok(());
+        };
+        let mut turns = zero_vector(d);
+        for (k, turn) in turns.iter_mut().enumerate().filter(|(k, _)| coordinates[*k] == Coordinate::Angle) {
+            *turn = TAU * ((at.mean[k] - from.mean[k]) / TAU).round();
+        }
+        multiply_add(information, &turns, d, 1, vector);
+        Ok(())
+    }
 }
 
 impl<M: GaussianFamily> GaussianView for View<'_, '_, M> {
     fn message(&self, port: Port, information: &mut [f64], vector: &mut [f64]) -> Result<f64, MessageError> {
-        self.incoming.message(port).read_information(information, vector)
+        let loss = self.incoming.message(port).read_information(information, vector)?;
+        self.align(port, information, vector)?;
+        Ok(loss)
     }
 
     fn belief(&self, port: Port, information: &mut [f64], vector: &mut [f64]) -> Result<f64, MessageError> {

@@ -2,6 +2,7 @@
 
 use smallvec::SmallVec;
 use sumprod_graph::MessageError;
+use sumprod_messages::Cholesky;
 
 /// Storage for a matrix of up to six by six without the heap.
 pub(crate) type Matrix = SmallVec<[f64; 36]>;
@@ -58,6 +59,29 @@ pub(crate) fn symmetrise(a: &mut [f64], dimension: usize) {
     }
 }
 
+/// Checks that a square matrix is finite and, but for rounding, its own transpose.
+///
+/// # Errors
+///
+/// The first entry that is not.
+pub(crate) fn check_symmetric(a: &[f64], dimension: usize, what: &'static str) -> Result<(), MessageError> {
+    if let Some(&value) = a.iter().find(|value| !value.is_finite()) {
+        return Err(MessageError::NotFinite { what, value });
+    }
+    let allowed = 1e-9 * a.iter().map(|x| x.abs()).fold(0.0, f64::max);
+    for row in 0..dimension {
+        for column in 0..row {
+            let (below, above) = (a[row * dimension + column], a[column * dimension + row]);
+            if (below - above).abs() > allowed {
+                return Err(MessageError::Unsupported(format!(
+                    "{what} is not symmetric: entry ({row}, {column}) is {below}, entry ({column}, {row}) is {above}"
+                )));
+            }
+        }
+    }
+    Ok(())
+}
+
 /// Solves A X = B by Gaussian elimination with partial pivoting; A (d by d) is overwritten, B (d by columns)
 /// becomes X.
 pub(crate) fn solve(
@@ -110,21 +134,82 @@ pub(crate) fn solve(
     Ok(())
 }
 
-/// Pseudo-inverse of a symmetric positive semidefinite matrix, by its eigenvalues.
-pub(crate) fn pseudo_inverse(a: &[f64], dimension: usize) -> Matrix {
-    let eigen = nalgebra::DMatrix::from_row_slice(dimension, dimension, a).symmetric_eigen();
+/// A generalised inverse G of a symmetric positive semidefinite matrix A, A G A = A: the pseudo-inverse of A scaled
+/// to a unit diagonal, so that coordinates of different units are measured alike.
+pub(crate) fn generalised_inverse(a: &[f64], dimension: usize) -> Matrix {
+    let scales: Vector = (0..dimension)
+        .map(|k| {
+            let own = a[k * dimension + k];
+            if own > 0.0 { own.sqrt().recip() } else { 0.0 }
+        })
+        .collect();
+    let scaled = |row: usize, column: usize| scales[row] * a[row * dimension + column] * scales[column];
+    let eigen = nalgebra::DMatrix::from_fn(dimension, dimension, scaled).symmetric_eigen();
     let threshold = 1e-12 * eigen.eigenvalues.amax();
     let mut out = zeros(dimension * dimension);
     for (value, vector) in eigen.eigenvalues.iter().zip(eigen.eigenvectors.column_iter()) {
         if *value > threshold {
             for row in 0..dimension {
                 for column in 0..dimension {
-                    out[row * dimension + column] += vector[row] * vector[column] / value;
+                    out[row * dimension + column] +=
+                        scales[row] * vector[row] * vector[column] * scales[column] / value;
                 }
             }
         }
     }
     out
+}
+
+/// A distribution by its moments.
+pub(crate) struct Proper {
+    pub(crate) mean: Vector,
+    pub(crate) covariance: Matrix,
+    /// How much correlation inflates a variance at most, maxₖ Λₖₖ Pₖₖ ≥ 1: the digits that the moments have lost.
+    pub(crate) inflation: f64,
+}
+
+/// Inflation beyond which a direction is open for all that double precision can tell.
+const OPEN: f64 = 1e13;
+/// Inflation up to which moments serve; beyond it, the information form keeps digits that moments lose.
+pub(crate) const WELL_CONDITIONED: f64 = 1e6;
+
+/// The moments of an information form; none where it leaves a direction open, or only rounding closes it.
+pub(crate) fn proper(information: &[f64], vector: &[f64]) -> Option<Proper> {
+    let d = vector.len();
+    let factor = Cholesky::new(information, d, "the information").ok()?;
+    let mut covariance = zeros(d * d);
+    factor.inverse(&mut covariance);
+    let inflation = inflation(information, &covariance, d);
+    if inflation >= OPEN {
+        return None;
+    }
+    let mut mean = Vector::from_slice(vector);
+    factor.solve(&mut mean);
+    Some(Proper { mean, covariance, inflation })
+}
+
+/// The inverse of a covariance.
+///
+/// # Errors
+///
+/// Where it is not positive definite, or only by rounding.
+pub(crate) fn invert(covariance: &[f64], d: usize, what: &'static str) -> Result<Matrix, MessageError> {
+    let factor = Cholesky::new(covariance, d, what)?;
+    let mut information = zeros(d * d);
+    factor.inverse(&mut information);
+    let weakest = (0..d).find(|k| covariance[k * d + k] * information[k * d + k] >= OPEN);
+    match weakest {
+        Some(pivot) => {
+            let value = information[pivot * d + pivot].recip();
+            Err(MessageError::NotPositiveDefinite { what, pivot, value })
+        }
+        None => Ok(information),
+    }
+}
+
+/// The largest product of diagonal entries of a matrix and its inverse.
+fn inflation(matrix: &[f64], inverse: &[f64], d: usize) -> f64 {
+    (0..d).map(|k| matrix[k * d + k] * inverse[k * d + k]).fold(1.0, f64::max)
 }
 
 #[cfg(test)]
@@ -143,9 +228,9 @@ mod tests {
     }
 
     #[test]
-    fn the_pseudo_inverse_inverts_on_the_range() {
+    fn the_generalised_inverse_inverts_on_the_range() {
         let a = [2.0, 2.0, 2.0, 2.0];
-        let inverse = pseudo_inverse(&a, 2);
+        let inverse = generalised_inverse(&a, 2);
         let back = multiply(&multiply(&a, &inverse, 2, 2), &a, 2, 2);
         assert!(back.iter().zip(&a).all(|(x, y)| (x - y).abs() < 1e-12));
     }

@@ -43,8 +43,11 @@ pub fn draw(report: &Report, runs: &[RunResult]) -> Result<Option<String>, DrawE
         let body = style::heading(area, &format!("{}: error distribution", report.scenario), &subtitle)?;
         let (plot, side) = body.split_horizontally(SIZE.0 - style::legend_width(&entries));
         let mut plot = Plot::new(&plot, x, Scale::shares(), ("position error [m]", "share of errors"))?;
-        for (i, (_, curve)) in curves.iter().enumerate() {
-            plot.line(curve, Pen::layered(i, curves.len()))?;
+        let mut layers: Vec<_> =
+            curves.iter().enumerate().map(|(i, c)| (Pen::layered(i, curves.len()), c)).collect();
+        layers.sort_by_key(|(pen, _)| pen.drawing_order());
+        for (pen, (_, curve)) in layers {
+            plot.line(curve, pen)?;
         }
         style::legend(&side, &entries)
     })?;

@@ -55,7 +55,7 @@ pub fn rmse(report: &Report) -> Result<Option<String>, DrawError> {
         for (low, high, pen) in &regions {
             plot.region(low, high, pen.colour.mix(0.13).filled())?;
         }
-        for (_, curve, pen) in &curves {
+        for (_, curve, pen) in layers(&curves) {
             plot.line(curve, *pen)?;
         }
         style::legend(&side, &entries)
@@ -100,12 +100,19 @@ pub fn nees(report: &Report) -> Result<Option<String>, DrawError> {
         let mut plot = Plot::new(&plot, x, y, ("time [s]", "NEES / degrees of freedom"))?;
         plot.region(&ends.map(|t| (t, low)), &ends.map(|t| (t, high)), BAND.mix(0.25).filled())?;
         plot.line(&ends.map(|t| (t, 1.0)), Pen::reference())?;
-        for (_, curve, pen) in &curves {
+        for (_, curve, pen) in layers(&curves) {
             plot.line(curve, *pen)?;
         }
         style::legend(&side, &entries)
     })?;
     Ok(Some(svg))
+}
+
+/// The curves in the order of drawing.
+fn layers(curves: &[(String, Curve, Pen)]) -> Vec<&(String, Curve, Pen)> {
+    let mut layers: Vec<_> = curves.iter().collect();
+    layers.sort_by_key(|(_, _, pen)| pen.drawing_order());
+    layers
 }
 
 /// The methods that have figures over time, with their place.

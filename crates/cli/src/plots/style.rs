@@ -13,6 +13,8 @@ pub const GREY: RGBColor = RGBColor(0x70, 0x70, 0x70);
 pub const GRID: RGBColor = RGBColor(0xe4, 0xe4, 0xe4);
 /// Bands of what is expected.
 pub const BAND: RGBColor = RGBColor(0x9a, 0x9a, 0x9a);
+/// Curves up to which widths tell them apart.
+const FEW: usize = 4;
 /// Font of all text.
 const FONT: &str = "sans-serif";
 
@@ -49,12 +51,22 @@ impl Pen {
         Self { colour: COLOURS[index % COLOURS.len()], width: 2, dash }
     }
 
-    /// The pen of a method's curve among `count` in one plot, drawn in order: a few curves get narrower from one to
-    /// the next, so that of two that coincide the lower one shows at the rim.
+    /// The pen of a method's curve among `count` in one plot. Of curves that coincide each must show: a few get
+    /// narrower from one to the next, so that the lower one shows at the rim; of many, every other one is dashed and
+    /// drawn above the solid ones (see [`Pen::drawing_order`]).
     pub fn layered(index: usize, count: usize) -> Self {
+        let pen = Self::of_method(index);
+        if count > FEW {
+            let dash = pen.dash.or((index % 2 == 1).then_some((7, 5)));
+            return Self { dash, width: if dash.is_some() { 2 } else { 3 }, ..pen };
+        }
         let above = count.saturating_sub(index + 1).min(2) as u32;
-        let widening = if count <= 4 { above } else { 0 };
-        Self { width: 2 + widening, ..Self::of_method(index) }
+        Self { width: 2 + above, ..pen }
+    }
+
+    /// Sorts solid curves below dashed ones, and otherwise keeps their order.
+    pub fn drawing_order(&self) -> bool {
+        self.dash.is_some()
     }
 
     /// The pen of what is not a method: a bound, the expected value.

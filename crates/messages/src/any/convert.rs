@@ -3,7 +3,7 @@
 use crate::kernel::floor_diagonal;
 use crate::moments::gaussian_divergence;
 use crate::particles::{Role, Support};
-use crate::{DynamicGaussian, Particles};
+use crate::{DynamicGaussian, Moments, Particles};
 use rand_distr::{Distribution, StandardNormal};
 use smallvec::SmallVec;
 use std::f64::consts::TAU;
@@ -17,7 +17,8 @@ pub(super) fn no_distribution() -> MessageError {
 }
 
 /// A sample's moments; the loss is its negentropy, by third and fourth cumulants of the whitened coordinates
-/// (Hyvärinen 1998): Σ κ₃²/12 + κ₄²/48.
+/// (Hyvärinen 1998): Σ κ₃²/12 + κ₄²/48. That expansion means nothing for a collapsed cloud; n points cannot tell
+/// more than log n nats.
 pub(super) fn particles_to_gaussian(particles: &Particles) -> Result<(DynamicGaussian, f64), MessageError> {
     if particles.is_empty() {
         return Ok((DynamicGaussian::flat(particles.dimension()), 0.0));
@@ -27,6 +28,7 @@ pub(super) fn particles_to_gaussian(particles: &Particles) -> Result<(DynamicGau
     }
     let mut moments = particles.moments();
     let d = moments.dimension();
+    widen_collapsed(particles, &mut moments);
     floor_diagonal(&mut moments.covariance, d);
     let gaussian = DynamicGaussian::from_moments(&moments.mean, &moments.covariance)?;
     let factor = crate::Cholesky::new(&moments.covariance, d, "the covariance of the particles")?;
@@ -40,9 +42,35 @@ pub(super) fn particles_to_gaussian(particles: &Particles) -> Result<(DynamicGau
             *fourth += weight * z * z * z * z;
         }
     }
-    let loss =
+    let loss: f64 =
         cumulants.iter().map(|(third, fourth)| third * third / 12.0 + (fourth - 3.0).powi(2) / 48.0).sum();
-    Ok((gaussian, loss))
+    Ok((gaussian, loss.min((particles.len() as f64).ln())))
+}
+
+/// Fewer effective particles n than directions and one leave a covariance that is singular but for rounding, and a
+/// Gaussian of it certain of what nobody measured. It is made unbiased, P / (1 - 1/n), and no coordinate is taken to
+/// be known finer than the mean distance between neighbouring points.
+fn widen_collapsed(particles: &Particles, moments: &mut Moments) {
+    let (n, d) = (particles.effective_sample_size(), moments.dimension());
+    if n >= (d + 1) as f64 {
+        return;
+    }
+    let unbiased = 1.0 / (1.0 - 1.0 / n).max(1e-6);
+    moments.covariance.iter_mut().for_each(|entry| *entry *= unbiased);
+    let count = particles.len() as f64;
+    let mut offset = vec![0.0; d];
+    let (mut sums, mut squares) = (vec![0.0; d], vec![0.0; d]);
+    for point in particles.points().chunks_exact(d) {
+        particles.offset(point, &moments.mean, &mut offset);
+        for (k, x) in offset.iter().enumerate() {
+            sums[k] += x;
+            squares[k] += x * x;
+        }
+    }
+    for k in 0..d {
+        let spread = squares[k] / count - (sums[k] / count).powi(2);
+        moments.covariance[k * d + k] += spread.max(0.0) / (count * count);
+    }
 }
 
 /// Draws from a Gaussian; the loss is the divergence from it to the Gaussian with the sample's moments.

@@ -8,7 +8,7 @@
 use super::Mixture;
 use super::small::{Small, whitener};
 use super::tree::Tree;
-use super::vector::{exp, greater, ln, widest};
+use super::vector::{exp, greater, ln, round, widest};
 use smallvec::SmallVec;
 use std::f64::consts::{PI, TAU};
 use sumprod_graph::Coordinate;
@@ -456,9 +456,8 @@ fn columns<'a, const D: usize>(kernels: &'a Kernels, values: &'a [f64], start: u
 
 #[inline(always)]
 fn turned(offset: f64, turn: f64, inverse: f64) -> f64 {
-    // Rounds to the nearest integer, as in `vector::wrap`; a real coordinate has no turn to take off.
-    const ROUND: f64 = 6_755_399_441_055_744.0;
-    offset - turn * ((offset * inverse + ROUND) - ROUND)
+    // A real coordinate has no turn to take off.
+    offset - turn * round(offset * inverse)
 }
 
 /// Finds the blocks that matter and writes their exponents; returns the largest.
@@ -558,7 +557,7 @@ impl pulp::NullaryFnOnce for Pick<'_> {
                 }
                 // Rounding left a remainder: the last component that has a share.
                 let values = &scratch.exponents[start..start + BLOCK];
-                let lane = values.iter().rposition(|&share| share > 0.0).unwrap_or(0);
+                let lane = values.iter().rposition(|&share| share > 1e-300).unwrap_or(0);
                 return (start + lane, log);
             }
             rest -= sum;

@@ -113,37 +113,90 @@ pub(super) struct Merged {
     pub(super) covariance: Small,
 }
 
-/// Merges the components numbered `part`, angles about the first of them. O(n d²).
-pub(super) fn merge(mixture: &Mixture, part: &[u32]) -> Merged {
-    let d = mixture.dimension();
+/// Merges the components numbered `part`, angles about the first of them; `weights` are the mixture's, or others of
+/// any total. O(n d²).
+pub(super) fn merge(mixture: &Mixture, weights: &[f64], part: &[u32]) -> Merged {
     let first = part[0] as usize;
-    let reference = mixture.mean_of(first);
     if part.len() == 1 {
-        let covariance = Small::from_slice(mixture.covariance_of(first));
-        return Merged { log_weight: mixture.log_weights[first], mean: Small::from_slice(reference), covariance };
+        return Merged {
+            log_weight: weights[first].max(f64::MIN_POSITIVE).ln(),
+            mean: Small::from_slice(mixture.mean_of(first)),
+            covariance: Small::from_slice(mixture.covariance_of(first)),
+        };
     }
-    let largest = part.iter().map(|&i| mixture.log_weights[i as usize]).fold(f64::NEG_INFINITY, f64::max);
+    let real = !mixture.coordinates.contains(&Coordinate::Angle);
+    let (sum, shift, second) = match (mixture.dimension(), real) {
+        (1, true) => sums::<1>(mixture, weights, part),
+        (2, true) => sums::<2>(mixture, weights, part),
+        (3, true) => sums::<3>(mixture, weights, part),
+        _ => sums_of_any_dimension(mixture, weights, part),
+    };
+    finish(mixture, first, sum, shift, second)
+}
+
+/// Sums of weights, of weighted offsets from the first component, and of weighted second moments about it (lower
+/// triangle), the kernels' own covariances included where each has its own.
+fn sums<const D: usize>(mixture: &Mixture, weights: &[f64], part: &[u32]) -> (f64, Small, Small) {
+    let mut reference = [0.0; D];
+    reference.copy_from_slice(&mixture.mean_of(part[0] as usize)[..D]);
+    let mut sum = 0.0;
+    let mut shift = [0.0; D];
+    let mut second = [[0.0; D]; D];
+    for &i in part {
+        let i = i as usize;
+        // Weights may underflow; a group's total must not.
+        let weight = weights[i].max(f64::MIN_POSITIVE);
+        let Some(mean) = mixture.means[i * D..].first_chunk::<D>() else { continue };
+        sum += weight;
+        let mut offset = [0.0; D];
+        for row in 0..D {
+            offset[row] = mean[row] - reference[row];
+            let weighted = weight * offset[row];
+            shift[row] += weighted;
+            for column in 0..=row {
+                second[row][column] += weighted * offset[column];
+            }
+        }
+        if !mixture.shared {
+            let own = &mixture.covariances[i * D * D..][..D * D];
+            for row in 0..D {
+                for column in 0..=row {
+                    second[row][column] += weight * own[row * D + column];
+                }
+            }
+        }
+    }
+    (sum, Small::from_slice(&shift), second.iter().flatten().copied().collect())
+}
+
+fn sums_of_any_dimension(mixture: &Mixture, weights: &[f64], part: &[u32]) -> (f64, Small, Small) {
+    let d = mixture.dimension();
+    let reference = mixture.mean_of(part[0] as usize);
     let mut sum = 0.0;
     let mut shift = Small::from_elem(0.0, d);
     let mut second = Small::from_elem(0.0, d * d);
     let mut offset = Small::from_elem(0.0, d);
     for &i in part {
         let i = i as usize;
-        let weight = (mixture.log_weights[i] - largest).exp();
+        let weight = weights[i].max(f64::MIN_POSITIVE);
         sum += weight;
         difference(&mixture.coordinates, mixture.mean_of(i), reference, &mut offset);
-        let own = if mixture.shared { None } else { Some(mixture.covariance_of(i)) };
         for row in 0..d {
             let weighted = weight * offset[row];
             shift[row] += weighted;
             for column in 0..=row {
                 second[row * d + column] += weighted * offset[column];
-                if let Some(own) = own {
-                    second[row * d + column] += weight * own[row * d + column];
-                }
             }
         }
+        if !mixture.shared {
+            second.iter_mut().zip(mixture.covariance_of(i)).for_each(|(sum, entry)| *sum += weight * entry);
+        }
     }
+    (sum, shift, second)
+}
+
+fn finish(mixture: &Mixture, first: usize, sum: f64, mut shift: Small, mut second: Small) -> Merged {
+    let d = mixture.dimension();
     let shared = mixture.shared_covariance();
     shift.iter_mut().for_each(|value| *value /= sum);
     for row in 0..d {
@@ -155,12 +208,12 @@ pub(super) fn merge(mixture: &Mixture, part: &[u32]) -> Merged {
         }
     }
     for (k, kind) in mixture.coordinates.iter().enumerate() {
-        shift[k] += reference[k];
+        shift[k] += mixture.mean_of(first)[k];
         if *kind == Coordinate::Angle {
             shift[k] = wrap_angle(shift[k]);
         }
     }
-    Merged { log_weight: largest + sum.ln(), mean: shift, covariance: second }
+    Merged { log_weight: sum.ln(), mean: shift, covariance: second }
 }
 
 #[cfg(test)]

@@ -56,10 +56,16 @@ pub(crate) fn ln(x: f64) -> f64 {
     exponent * LN_2 + 2.0 * s * (low + s8 * (middle + s8 * high))
 }
 
+/// The nearest integer, of numbers of moderate size.
+#[inline(always)]
+pub(crate) fn round(x: f64) -> f64 {
+    (x + ROUND) - ROUND
+}
+
 /// The representative of an angle in [-π, π] (rad), for angles of moderate size.
 #[inline(always)]
 pub(crate) fn wrap(angle: f64) -> f64 {
-    angle - TAU * ((angle * (1.0 / TAU) + ROUND) - ROUND)
+    angle - TAU * round(angle * (1.0 / TAU))
 }
 
 /// The greater number, without regard for NaN: one instruction.

@@ -1,6 +1,6 @@
 //! Bearings, alone and with a range, from a planar pose [x, y, heading] to a point.
 
-use super::range::distance;
+use super::range::{TOUCHING, distance};
 use crate::{Noise, Real, Residual};
 
 /// The direction of a point seen from a pose, measured from its heading (rad, anticlockwise):
@@ -34,6 +34,12 @@ fn offset<T: Real>(x: &[&[T]], target: Option<[f64; 2]>) -> [T; 2] {
     }
 }
 
+/// The direction of an offset (rad); at coincident points it is left open, without a derivative.
+fn direction<T: Real>([east, north]: [T; 2]) -> T {
+    let squared = (east * east + north * north).re();
+    if squared < TOUCHING * TOUCHING { T::from(0.0) } else { north.atan2(east) }
+}
+
 impl Residual for Bearing {
     fn dimensions(&self) -> &[usize] {
         &self.dimensions
@@ -44,8 +50,7 @@ impl Residual for Bearing {
     }
 
     fn residual<T: Real>(&self, x: &[&[T]], out: &mut [T]) {
-        let [east, north] = offset(x, self.target);
-        out[0] = north.atan2(east) - x[0][2] - self.measured;
+        out[0] = direction(offset(x, self.target)) - x[0][2] - self.measured;
     }
 
     fn angles(&self) -> &[usize] {
@@ -87,7 +92,7 @@ impl Residual for RangeBearing {
     fn residual<T: Real>(&self, x: &[&[T]], out: &mut [T]) {
         let [east, north] = offset(x, self.target);
         out[0] = distance(east, north) - self.measured[0];
-        out[1] = north.atan2(east) - x[0][2] - self.measured[1];
+        out[1] = direction([east, north]) - x[0][2] - self.measured[1];
     }
 
     fn angles(&self) -> &[usize] {

@@ -30,6 +30,24 @@ impl<const D: usize> Displacement<D> {
     }
 }
 
+/// The inverse of a symmetric matrix; two by two, the case that large graphs are made of, without leaving registers.
+#[inline]
+fn invert<const D: usize>(matrix: &SMatrix<f64, D, D>) -> Result<SMatrix<f64, D, D>, MessageError> {
+    let failed = |value| MessageError::NotPositiveDefinite { what: "the sum over a port", pivot: 0, value };
+    if D != 2 {
+        return matrix.try_inverse().ok_or_else(|| failed(matrix[(0, 0)]));
+    }
+    let (a, b, d) = (matrix[(0, 0)], matrix[(1, 0)], matrix[(1, 1)]);
+    let determinant = a * d - b * b;
+    let definite = determinant > 0.0;
+    if !definite {
+        return Err(failed(determinant));
+    }
+    let scale = 1.0 / determinant;
+    let inverse = [d * scale, -b * scale, a * scale];
+    Ok(SMatrix::from_fn(|row, column| inverse[row + column]))
+}
+
 impl<const D: usize> Factor<Gaussian<D>> for Displacement<D> {
     fn dimensions(&self) -> &[usize] {
         &[D, D]
@@ -59,11 +77,7 @@ impl<const D: usize> Factor<Gaussian<D>> for Displacement<D> {
         let other = incoming.message(1 - to);
         let pull = if to == 1 { self.pull } else { -self.pull };
         // Summing the other end out of the joint information [J, -J; -J, J].
-        let total = self.information + other.information();
-        let Some(inverse) = total.try_inverse() else {
-            let value = total[(0, 0)];
-            return Err(MessageError::NotPositiveDefinite { what: "the sum over a port", pivot: 0, value });
-        };
+        let inverse = invert(&(self.information + other.information()))?;
         let gain = self.information * inverse;
         let information = self.information - gain * self.information;
         let vector = pull + gain * (other.information_vector() - pull);

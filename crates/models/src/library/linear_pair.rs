@@ -54,7 +54,8 @@ impl<const D: usize> LinearPair<D> {
             for j in 0..k {
                 pivot -= system[(k, j)] * system[(k, j)];
             }
-            if !(pivot > 0.0) {
+            let definite = pivot > 0.0;
+            if !definite {
                 return Err(MessageError::NotPositiveDefinite {
                     what: "the sum over a port",
                     pivot: k,

@@ -9,9 +9,10 @@ use std::f64::consts::TAU;
 use sumprod_graph::{FastStream, Port};
 
 /// Shortest distance whose direction is taken as known (m): below it a range has no gradient.
-const TOUCHING: f64 = 1e-9;
+pub(super) const TOUCHING: f64 = 1e-9;
 
-pub(crate) fn distance<T: Real>(x: T, y: T) -> T {
+/// The length of the vector (x, y), for residuals of points in the plane: its derivatives are finite everywhere.
+pub fn distance<T: Real>(x: T, y: T) -> T {
     let squared = x * x + y * y;
     // At coincident points the derivative of the root does not exist; the direction is left open.
     if squared.re() < TOUCHING * TOUCHING { squared } else { squared.sqrt() }
@@ -42,6 +43,7 @@ impl Residual for Range {
         &self.noise
     }
 
+    #[inline]
     fn residual<T: Real>(&self, x: &[&[T]], out: &mut [T]) {
         let [a, b] = self.positions;
         out[0] = distance(x[1][b[0]] - x[0][a[0]], x[1][b[1]] - x[0][a[1]]) - self.measured;
@@ -80,6 +82,7 @@ impl Residual for AnchorRange {
         &self.noise
     }
 
+    #[inline]
     fn residual<T: Real>(&self, x: &[&[T]], out: &mut [T]) {
         let [east, north] = self.position;
         out[0] = distance(x[0][east] - self.anchor[0], x[0][north] - self.anchor[1]) - self.measured;
@@ -136,6 +139,7 @@ impl Residual for CalibratedRange {
         &self.noise
     }
 
+    #[inline]
     fn residual<T: Real>(&self, x: &[&[T]], out: &mut [T]) {
         let [east, north] = self.position;
         let true_range = distance(x[0][east] - self.anchor[0], x[0][north] - self.anchor[1]);

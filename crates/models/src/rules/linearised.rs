@@ -5,12 +5,13 @@
 //!
 //! Λ = Jₜ' S⁻¹ Jₜ,   η = Λ x̄ₜ - Jₜ' S⁻¹ e.
 //!
-//! Where a message from another port is improper, that port is summed out in information form instead.
+//! Where a message from another port is improper, or nearly so, that port is summed out in information form instead.
 
 use super::{GaussianDraft, GaussianView};
 use crate::Linearised;
 use crate::small::{
-    Matrix, Vector, multiply, multiply_add, pseudo_inverse, symmetrise, transpose, zero_vector, zeros,
+    Matrix, Proper, Vector, WELL_CONDITIONED, generalised_inverse, multiply, multiply_add, proper,
+    symmetrise, transpose, zero_vector, zeros,
 };
 use smallvec::SmallVec;
 use std::ops::Range;
@@ -81,13 +82,10 @@ fn settle(
     draft: &mut GaussianDraft,
 ) -> Result<(), MessageError> {
     const STEPS: usize = 20;
-    let d = parts[to].len();
     for _ in 0..STEPS {
-        let Ok(factor) = Cholesky::new(&draft.information, d, "the message") else {
+        let Some(Proper { mean, .. }) = proper(&draft.information, &draft.vector) else {
             return linear_in_receiver(model, to, beliefs, parts);
         };
-        let mut mean = Vector::from_slice(&draft.vector);
-        factor.solve(&mut mean);
         let step: f64 =
             mean.iter().zip(&beliefs[to].mean).map(|(new, old)| (new - old).abs()).fold(0.0, f64::max);
         let size: f64 = mean.iter().map(|x| x.abs()).fold(1.0, f64::max);
@@ -129,20 +127,14 @@ fn read_belief(view: &dyn GaussianView, port: Port, dimension: usize) -> Result<
     let mut information = zeros(dimension * dimension);
     let mut mean = zero_vector(dimension);
     view.belief(port, &mut information, &mut mean)?;
-    match Cholesky::new(&information, dimension, "the belief") {
-        Ok(factor) => {
-            factor.solve(&mut mean);
-            let mut covariance = zeros(dimension * dimension);
-            factor.inverse(&mut covariance);
-            Ok(Belief { mean, covariance: Some(covariance) })
-        }
-        Err(_) if mean.iter().all(|&x| x == 0.0) => Ok(Belief { mean, covariance: None }),
-        Err(_) => {
-            let inverse = pseudo_inverse(&information, dimension);
-            let mean = multiply(&inverse, &mean, dimension, 1);
-            Ok(Belief { mean: mean.into_iter().collect(), covariance: None })
-        }
+    if let Some(Proper { mean, covariance, .. }) = proper(&information, &mean) {
+        return Ok(Belief { mean, covariance: Some(covariance) });
     }
+    if mean.iter().any(|&x| x != 0.0) {
+        let inverse = generalised_inverse(&information, dimension);
+        mean = multiply(&inverse, &mean, dimension, 1).into_iter().collect();
+    }
+    Ok(Belief { mean, covariance: None })
 }
 
 fn at_beliefs(
@@ -157,7 +149,7 @@ fn at_beliefs(
         true => regress(model, beliefs, parts)?,
         false => expand(model, beliefs, parts),
     };
-    downweight(model, beliefs, parts, &mut line)?;
+    downweight(model, beliefs, parts, &mut line);
     eliminate(&line, to, view, parts)
 }
 
@@ -245,28 +237,23 @@ fn regress(model: &dyn Linearised, beliefs: &[Belief], parts: &[Range<usize>]) -
     Ok(Line { point, value, jacobian, noise })
 }
 
-/// Heavy-tailed noise: the covariance is divided by the weight of the residual, whose length is measured with the
-/// beliefs' own uncertainty, so that a poor prediction is not taken for an outlier.
-fn downweight(
-    model: &dyn Linearised,
-    beliefs: &[Belief],
-    parts: &[Range<usize>],
-    line: &mut Line,
-) -> Result<(), MessageError> {
+/// Heavy-tailed noise: the covariance is divided by the weight of the residual. Its length is the expectation over
+/// the beliefs (the E-step of a variational fit), so that a belief cannot talk itself into an outlier by having
+/// followed it; from a vague belief the weight grows as rounds sharpen it.
+fn downweight(model: &dyn Linearised, beliefs: &[Belief], parts: &[Range<usize>], line: &mut Line) {
     let noise = model.noise();
     if noise.degrees_of_freedom().is_none() {
-        return Ok(());
+        return;
     }
-    let mut total = line.noise.clone();
+    let mut spread = line.noise.clone();
+    spread.iter_mut().zip(noise.covariance()).for_each(|(spread, noise)| *spread -= noise);
     for (belief, part) in beliefs.iter().zip(parts) {
         if let Some(covariance) = &belief.covariance {
-            add_projection(&line.jacobian, part, covariance, noise.dimension(), &mut total);
+            add_projection(&line.jacobian, part, covariance, noise.dimension(), &mut spread);
         }
     }
-    let factor = Cholesky::new(&total, noise.dimension(), "the residual's covariance")?;
-    let weight = noise.weight(factor.squared_length(&mut line.value.clone()));
+    let weight = noise.weight(noise.expected_squared_length(&line.value, &spread));
     line.noise.iter_mut().for_each(|entry| *entry /= weight);
-    Ok(())
 }
 
 /// Adds J P J' to `out` (m by m), J the columns of the Jacobian in `part`.
@@ -295,14 +282,12 @@ fn eliminate(
     let mut shifted = line.value.clone();
     for (port, part) in parts.iter().enumerate().filter(|(port, _)| *port != to) {
         let d = part.len();
-        let (mut information, mut mean) = (zeros(d * d), zero_vector(d));
-        loss += view.message(port, &mut information, &mut mean)?;
-        let Ok(factor) = Cholesky::new(&information, d, "the incoming message") else {
+        let (mut information, mut vector) = (zeros(d * d), zero_vector(d));
+        loss += view.message(port, &mut information, &mut vector)?;
+        let Some(Proper { mean, covariance, inflation: ..=WELL_CONDITIONED }) = proper(&information, &vector)
+        else {
             return eliminate_improper(line, to, view, parts);
         };
-        factor.solve(&mut mean);
-        let mut covariance = zeros(d * d);
-        factor.inverse(&mut covariance);
         add_projection(&line.jacobian, part, &covariance, m, &mut total);
         let offset: Vector = mean.iter().zip(&line.point[part.clone()]).map(|(mean, x)| mean - x).collect();
         multiply_add(&columns(&line.jacobian, part, m), &offset, d, 1, &mut shifted);
@@ -334,7 +319,7 @@ fn project(
 }
 
 /// The general case, in information form: the joint information of all ports with the other ports' messages
-/// added, and those ports summed out by a Schur complement with a pseudo-inverse, which is exact because the
+/// added, and those ports summed out by a Schur complement with a generalised inverse, which is exact because the
 /// joint's range holds its vector.
 fn eliminate_improper(
     line: &Line,
@@ -368,7 +353,7 @@ fn eliminate_improper(
             .map(|(r, c)| information[r * n + c])
             .collect()
     };
-    let inverse = pseudo_inverse(&pick(&others, &others), others.len());
+    let inverse = generalised_inverse(&pick(&others, &others), others.len());
     let cross = pick(&kept, &others);
     let gain = multiply(&cross, &inverse, others.len(), others.len());
     let removed = multiply(&gain, &transpose(&cross, kept.len(), others.len()), others.len(), kept.len());

@@ -1,6 +1,8 @@
 //! Particle messages: values at the receiver's particles, and draws through a motion.
 
 use crate::residual::ResidualModel;
+use crate::rules::exponential::{sum_of_exponentials, sum_of_gaussians};
+use crate::rules::selection::select;
 use crate::rules::{GaussianDraft, GaussianView, ParticleView, Rules, linearised};
 use crate::small::{Matrix, Vector, multiply, multiply_add, symmetrise, transpose, zero_vector, zeros};
 use crate::{Linearised, ProcessNoise, Residual};
@@ -8,7 +10,7 @@ use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
 use smallvec::SmallVec;
 use sumprod_graph::{Coordinate, FastStream, MessageError, Port, Space, Stream, wrap_angle};
-use sumprod_messages::{Cholesky, DynamicGaussian, Particles, ParticlesForm, Proposal};
+use sumprod_messages::{Cholesky, DynamicGaussian, Particles, ParticlesForm, Proposal, Role};
 
 impl<R: Residual> Rules for ResidualModel<R> {
     fn dimensions(&self) -> &[usize] {
@@ -87,8 +89,11 @@ impl<R: Residual> ResidualModel<R> {
             }
             let (sample, cost) = view.message(port, draws, stream)?;
             loss += cost;
-            if sample.is_empty() {
-                let reason = "a sender says nothing of its variable yet; give it a prior";
+            if sample.is_empty() || sample.role() == Role::Likelihood {
+                let reason = match sample.is_empty() {
+                    true => "a sender says nothing of its variable yet; give it a prior",
+                    false => "a sender has values of a function, but no distribution; give it a prior",
+                };
                 return Err(MessageError::Unsupported(reason.into()));
             }
             let mut chosen = select(sample.log_weights(), draws, &mut random);
@@ -106,29 +111,60 @@ impl<R: Residual> ResidualModel<R> {
     }
 
     fn evaluate_at(&self, to: Port, carrier: &Particles, senders: &Senders, log_values: &mut [f64]) {
-        let dimensions = self.0.dimensions();
-        let mut residual = zero_vector(self.noise().dimension());
-        let mut logs: SmallVec<[f64; 128]> = SmallVec::from_elem(0.0, senders.draws);
-        for (value, point) in log_values.iter_mut().zip(carrier.points().chunks_exact(carrier.dimension())) {
-            let mut largest = f64::NEG_INFINITY;
-            for (draw, log) in logs.iter_mut().enumerate() {
-                let mut x: SmallVec<[&[f64]; 3]> = SmallVec::new();
-                for (port, &dimension) in dimensions.iter().enumerate() {
-                    x.push(if port == to {
-                        point
-                    } else {
-                        &senders.points[port][draw * dimension..][..dimension]
-                    });
-                }
-                *log = self.log_value(&x, &mut residual);
-                largest = largest.max(*log);
-            }
-            *value = if largest == f64::NEG_INFINITY {
-                largest
+        let noise = self.noise();
+        let scalar = noise.dimension() == 1 && noise.degrees_of_freedom().is_none();
+        let mut values = vec![0.0; senders.draws];
+        let offset = noise.log_peak() - (senders.draws as f64).ln();
+        for (log_value, point) in
+            log_values.iter_mut().zip(carrier.points().chunks_exact(carrier.dimension()))
+        {
+            if scalar {
+                self.each_sender(to, point, senders, &mut values, |residual| residual[0]);
+                *log_value = offset + log_sum_of_gaussians(&values, noise.information()[0]);
             } else {
-                let sum: f64 = logs.iter().map(|log| (log - largest).exp()).sum();
-                largest + (sum / senders.draws as f64).ln()
-            };
+                self.each_sender(to, point, senders, &mut values, |residual| noise.log_density(residual));
+                *log_value = offset + log_sum_below(&values, noise.log_peak());
+            }
+        }
+    }
+
+    /// Writes, per draw of the senders, what `read` makes of the residual at the receiver's `point`.
+    #[inline(always)]
+    fn each_sender(
+        &self,
+        to: Port,
+        point: &[f64],
+        senders: &Senders,
+        values: &mut [f64],
+        read: impl Fn(&[f64]) -> f64,
+    ) {
+        let dimensions = self.0.dimensions();
+        let mut storage = [0.0; 4];
+        let mut long;
+        let residual = match storage.get_mut(..self.noise().dimension()) {
+            Some(short) => short,
+            None => {
+                long = zero_vector(self.noise().dimension());
+                &mut long[..]
+            }
+        };
+        if let &[first, second] = dimensions {
+            // Two ports, as most measurements have: nothing is looked up per draw.
+            let draws = senders.points[1 - to].chunks_exact(if to == 0 { second } else { first });
+            for (value, draw) in values.iter_mut().zip(draws) {
+                let x = if to == 0 { [point, draw] } else { [draw, point] };
+                self.residual_at(&x, residual);
+                *value = read(residual);
+            }
+            return;
+        }
+        let mut x: SmallVec<[&[f64]; 3]> = SmallVec::from_elem(point, dimensions.len());
+        for (draw, value) in values.iter_mut().enumerate() {
+            for (port, &d) in dimensions.iter().enumerate().filter(|(port, _)| *port != to) {
+                x[port] = &senders.points[port][draw * d..][..d];
+            }
+            self.residual_at(&x, residual);
+            *value = read(residual);
         }
     }
 
@@ -166,25 +202,34 @@ impl<R: Residual> ResidualModel<R> {
     }
 }
 
-/// Systematic selection of `count` indices in proportion to exp(log weight); nondecreasing.
-pub(crate) fn select(log_weights: &[f64], count: usize, random: &mut FastStream) -> Vec<u32> {
-    let largest = log_weights.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-    let total: f64 = log_weights.iter().map(|log| (log - largest).exp()).sum();
-    let step = total / count as f64;
-    let mut target = step * random.random::<f64>();
-    let mut chosen = Vec::with_capacity(count);
-    let mut reached = 0.0;
-    for (index, log) in log_weights.iter().enumerate() {
-        reached += (log - largest).exp();
-        while target < reached && chosen.len() < count {
-            chosen.push(index as u32);
-            target += step;
-        }
+/// Sums below this are taken again from the largest term: they are near the end of the number range.
+const SMALL: f64 = 1e-250;
+
+/// Log of Σ exp(log - peak), where no log is above `peak`.
+fn log_sum_below(logs: &[f64], peak: f64) -> f64 {
+    let sum = sum_of_exponentials(logs, peak);
+    if sum > SMALL || sum.is_nan() {
+        return sum.ln();
     }
-    // Rounding of the running sum may leave the last ones undrawn.
-    let last = chosen.last().copied().unwrap_or(0);
-    chosen.resize(count, last);
-    chosen
+    let largest = logs.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    if largest == f64::NEG_INFINITY {
+        return largest;
+    }
+    largest - peak + sum_of_exponentials(logs, largest).ln()
+}
+
+/// Log of Σ exp(-½ w r²) over residuals r.
+fn log_sum_of_gaussians(residuals: &[f64], weight: f64) -> f64 {
+    let sum = sum_of_gaussians(residuals, weight, 0.0);
+    if sum > SMALL || sum.is_nan() {
+        return sum.ln();
+    }
+    let least = residuals.iter().fold(f64::INFINITY, |least: f64, r| least.min(r.abs()));
+    let largest = -0.5 * weight * least * least;
+    if largest == f64::NEG_INFINITY {
+        return largest;
+    }
+    largest + sum_of_gaussians(residuals, weight, -largest).ln()
 }
 
 /// Share of the draws that ignore the guide, which bounds every weight by its reciprocal.

@@ -1,0 +1,20 @@
+//! The rules of every family against dense formulas, exact joints and grids.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests fail the test")]
+
+mod angles;
+mod chains;
+mod clusters;
+mod derivatives;
+mod golden;
+mod guided;
+mod heavy;
+mod improper;
+mod noise;
+mod pairs;
+mod particles;
+mod rigid;
+mod sigma;
+mod support;
+mod transition;
+mod trees;
