@@ -1,0 +1,116 @@
+//! What a method reports about itself: what conversions between forms cost, and how many particles count.
+
+use std::collections::BTreeMap;
+
+use sumprod_graph::{Message, Quality};
+
+use crate::results::MethodRun;
+
+/// Averages over messages, beliefs and steps.
+#[derive(Debug, Default)]
+pub(crate) struct Costs {
+    /// Divergence (nats) and number of the converted messages, by kind of edge.
+    losses: BTreeMap<String, (f64, u32)>,
+    /// Sum and number of the beliefs' effective sample sizes.
+    effective: (f64, u32),
+    unbounded: bool,
+}
+
+impl Costs {
+    /// Takes in a message along an edge of this kind.
+    pub(crate) fn message<M: Message>(&mut self, kind: &str, message: &M) {
+        self.lose(kind, message.quality());
+    }
+
+    /// Takes in a belief.
+    pub(crate) fn belief<M: Message>(&mut self, belief: &M) {
+        let quality = belief.quality();
+        if let Some(size) = quality.effective_sample_size {
+            self.effective = (self.effective.0 + size, self.effective.1 + 1);
+        }
+        self.lose("belief", quality);
+    }
+
+    fn lose(&mut self, kind: &str, quality: Quality) {
+        match quality.conversion_loss {
+            Some(loss) if loss.is_finite() => {
+                // Looked up first, since nearly every kind is there already.
+                if let Some((sum, count)) = self.losses.get_mut(kind) {
+                    (*sum, *count) = (*sum + loss, *count + 1);
+                } else {
+                    self.losses.insert(kind.to_owned(), (loss, 1));
+                }
+            }
+            Some(_) => self.unbounded = true,
+            None => {}
+        }
+    }
+
+    /// Writes `n_eff` and `conversion_loss.KIND`; a loss that no number bounds is told in words.
+    pub(crate) fn report(self, method: &mut MethodRun) {
+        let (sum, count) = self.effective;
+        if count > 0 {
+            method.diagnose("n_eff", sum / f64::from(count));
+        }
+        for (kind, (sum, count)) in self.losses {
+            method.diagnose(&format!("conversion_loss.{kind}"), sum / f64::from(count));
+        }
+        if self.unbounded {
+            let note = "some conversions were to fewer particles than a state has components; their loss is not known";
+            method.notes.push(note.to_owned());
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::results::StateLayout;
+    use sumprod_graph::{MessageError, Messages, Space, Stream};
+
+    #[derive(Clone)]
+    struct Known(Option<f64>, Option<f64>);
+
+    impl Message for Known {
+        type Form = ();
+
+        fn vacuous(_: &Space) -> Self {
+            Self(None, None)
+        }
+
+        fn product(incoming: Messages<'_, Self>, (): &(), _: &mut Stream) -> Result<Self, MessageError> {
+            Ok(incoming.iter().next().cloned().unwrap_or(Self(None, None)))
+        }
+
+        fn change(&self, _: &Self) -> f64 {
+            0.0
+        }
+
+        fn quality(&self) -> Quality {
+            Quality { effective_sample_size: self.0, conversion_loss: self.1 }
+        }
+    }
+
+    #[test]
+    fn what_is_known_is_averaged_by_kind() {
+        let mut costs = Costs::default();
+        for loss in [Some(0.25), None, Some(0.75), Some(f64::INFINITY)] {
+            costs.message("range", &Known(None, loss));
+        }
+        costs.message("self", &Known(None, None));
+        costs.belief(&Known(Some(100.0), Some(0.5)));
+        costs.belief(&Known(Some(300.0), None));
+        let mut method = MethodRun::new("a", StateLayout::planar_position());
+        costs.report(&mut method);
+        let found: Vec<(&str, f64)> = method
+            .diagnostics
+            .iter()
+            .map(|diagnostic| (diagnostic.name.as_str(), diagnostic.value))
+            .collect();
+        assert_eq!(
+            found,
+            [("n_eff", 200.0), ("conversion_loss.belief", 0.5), ("conversion_loss.range", 0.5)]
+        );
+        assert_eq!(method.notes.len(), 1);
+    }
+}
