@@ -29,7 +29,8 @@ pub enum Outgoing {
 pub struct Options {
     /// Seed of every random stream.
     pub seed: u64,
-    /// The run has converged when no message changes by more than this in an iteration.
+    /// The run has converged when nothing changes by more than this in an iteration: no belief where everything
+    /// is sent at once, no message otherwise.
     pub tolerance: f64,
     /// The most iterations a run may take.
     pub max_iterations: usize,

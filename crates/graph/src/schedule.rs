@@ -66,7 +66,7 @@ pub trait Schedule {
         Ok(())
     }
 
-    /// One iteration; returns the largest change of a message.
+    /// One iteration; returns the largest change that its passes returned.
     ///
     /// # Errors
     ///

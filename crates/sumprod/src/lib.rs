@@ -11,7 +11,7 @@
 //! let space = Space::real(2);
 //! let x = graph.variable("x", space.clone())?;
 //! graph.set_prior(x, AnyMessage::gaussian(&space, &[40.0, 35.0], &[4.0, 0.0, 0.0, 4.0])?)?;
-//! let range = AnchorRange::new(50.0, [0.0, 0.0], 2, [0, 1], Noise::isotropic(1, 0.25)?);
+//! let range = AnchorRange::new(50.0, [0.0, 0.0], 2, [0, 1], Noise::isotropic(1, 0.25)?)?;
 //! graph.add("range", range, &[x])?;
 //!
 //! let mut engine = Engine::new(&graph, Options::default())?;
@@ -22,6 +22,10 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+#[cfg(doctest)]
+mod book;
+
+pub use nalgebra;
 pub use sumprod_graph as graph;
 pub use sumprod_messages as messages;
 pub use sumprod_models as models;
@@ -30,15 +34,21 @@ pub use sumprod_positioning as positioning;
 
 /// What most programs need.
 pub mod prelude {
-    pub use sumprod_graph::schedule::{Flooding, ForwardBackward, Residual as ResidualSchedule, Sequential, Sliced};
+    pub use sumprod_graph::schedule::{
+        Flooding, ForwardBackward, Residual as ResidualSchedule, Sequential, Sliced,
+    };
     pub use sumprod_graph::{
-        Coordinate, Engine, Factor, FactorGraph, GraphError, Incoming, Message, MessageError, Messages, Options,
-        Outgoing, Pass, Port, Purpose, Report, Schedule, Space, Stop, Stream, Topology, Window,
+        Coordinate, EdgeId, Engine, Factor, FactorGraph, FactorId, GraphError, Incoming, Message, MessageError,
+        Messages, Options, Outgoing, Pass, Port, Purpose, Quality, Report, Schedule, Space, Stop, Stream,
+        Topology, VariableId, Window, WindowVariable,
     };
     pub use sumprod_messages::{
         AnyForm, AnyMessage, DynamicGaussian, Gaussian, GaussianForm, Linearisation, Moments, Particles,
         ParticlesForm, Proposal,
     };
     pub use sumprod_models::library::*;
-    pub use sumprod_models::{AddModel, Block, Cluster, Model, Motion, Noise, ProcessNoise, Real, Residual, Transition};
+    pub use sumprod_models::{
+        AddModel, Block, Cluster, Model, Motion, Noise, ProcessNoise, Real, Residual, Transition,
+        check_residual,
+    };
 }

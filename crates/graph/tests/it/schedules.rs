@@ -178,7 +178,7 @@ fn reports_say_why_a_run_stopped() {
     let chain = chain::<true>(4, Behaviour::Exact);
     let report = Engine::new(&chain, tight()).unwrap().run(&mut ForwardBackward::new()).unwrap();
     assert_eq!((report.iterations, report.stop), (1, Stop::Finished));
-    assert!(report.to_string().starts_with("finished after 1 iterations"));
+    assert!(report.to_string().starts_with("finished after 1 iteration"));
     let report = Engine::new(&chain, tight()).unwrap().run(&mut ForwardBackward::iterated(9)).unwrap();
     assert_eq!((report.iterations, report.stop), (2, Stop::Converged));
 }

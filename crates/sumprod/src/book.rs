@@ -1,0 +1,27 @@
+//! The book's code blocks and the README's, compiled and run as doctests.
+
+macro_rules! chapters {
+    ($($chapter:ident: $path:literal),* $(,)?) => {$(
+        #[doc = include_str!($path)]
+        struct $chapter;
+    )*};
+}
+
+chapters! {
+    Readme: "../../../README.md",
+    Introduction: "../../../docs/src/introduction.md",
+    GettingStarted: "../../../docs/src/getting-started.md",
+    Graphs: "../../../docs/src/graphs.md",
+    Messages: "../../../docs/src/messages.md",
+    Rules: "../../../docs/src/rules.md",
+    Schedules: "../../../docs/src/schedules.md",
+    Time: "../../../docs/src/time.md",
+    Reproducibility: "../../../docs/src/reproducibility.md",
+    Diagnostics: "../../../docs/src/diagnostics.md",
+    Extending: "../../../docs/src/extending.md",
+    Scenarios: "../../../docs/src/scenarios.md",
+    Data: "../../../docs/src/data.md",
+    PMpa: "../../../docs/src/p-mpa.md",
+    Cooperation: "../../../docs/src/cooperation.md",
+    Decisions: "../../../docs/src/decisions.md",
+}

@@ -1,0 +1,26 @@
+//! Every example runs, and finds its own answer right: each returns an error where it does not.
+
+#[path = "../examples/linear_chain.rs"]
+mod linear_chain;
+#[path = "../examples/own_factor.rs"]
+mod own_factor;
+#[path = "../examples/own_message.rs"]
+mod own_message;
+#[path = "../examples/own_schedule.rs"]
+mod own_schedule;
+#[path = "../examples/p_mpa.rs"]
+mod p_mpa;
+
+macro_rules! run {
+    ($($example:ident),*) => {$(
+        #[test]
+        fn $example() {
+            crate::$example::main().unwrap();
+        }
+    )*};
+}
+
+/// One test per example, by its name.
+mod of {
+    run!(linear_chain, own_factor, own_message, own_schedule, p_mpa);
+}
