@@ -51,7 +51,7 @@ fn grid(side: usize) -> Result<FactorGraph<Gaussian<2>>, Box<dyn std::error::Err
             for there in [(column + 1 < side).then_some(here + 1), (row + 1 < side).then_some(here + side)] {
                 let Some(there) = there else { continue };
                 let measured = truth[there] - truth[here] + Vector2::new(normal(), normal());
-                let factor = Displacement::from_information(measured, information(&mut shapes, 0.5, 2.0));
+                let factor = Displacement::from_information(measured, information(&mut shapes, 0.5, 2.0))?;
                 graph.factor("", Box::new(factor) as Box<dyn Factor<_>>, &[nodes[here], nodes[there]])?;
             }
         }

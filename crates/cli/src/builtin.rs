@@ -10,6 +10,13 @@ pub struct Builtin {
 
 /// The built-in scenarios in the order of `sumprod list`.
 pub const BUILTINS: &[Builtin] = &[
+    Builtin { name: "pmpa-track", text: include_str!("../scenarios/pmpa-track.toml") },
+    Builtin { name: "pmpa-cdf", text: include_str!("../scenarios/pmpa-cdf.toml") },
+    Builtin { name: "coop-c3", text: include_str!("../scenarios/coop-c3.toml") },
+    Builtin { name: "coop-c10", text: include_str!("../scenarios/coop-c10.toml") },
+    Builtin { name: "coop-c100", text: include_str!("../scenarios/coop-c100.toml") },
+    Builtin { name: "mrclam", text: include_str!("../scenarios/mrclam.toml") },
+    Builtin { name: "plaza", text: include_str!("../scenarios/plaza.toml") },
     #[cfg(test)]
     Builtin { name: "walk", text: include_str!("testing/walk.toml") },
 ];

@@ -1,5 +1,9 @@
 //! The one list of systems: which Rust type reads and runs the scenario files of which `system`.
 
+use sumprod_positioning::cooperation::Cooperation;
+use sumprod_positioning::pmpa::PMpa;
+use sumprod_positioning::robots::mrclam::Mrclam;
+use sumprod_positioning::robots::plaza::Plaza;
 use sumprod_positioning::scenario::Scenario;
 
 use crate::document::Document;
@@ -16,6 +20,10 @@ pub trait Action {
 
 /// Names of the systems.
 pub const SYSTEMS: &[&str] = &[
+    PMpa::SYSTEM,
+    Cooperation::SYSTEM,
+    Mrclam::SYSTEM,
+    Plaza::SYSTEM,
     #[cfg(test)]
     crate::testing::Walk::SYSTEM,
 ];
@@ -23,6 +31,10 @@ pub const SYSTEMS: &[&str] = &[
 /// Does `action` with the system that the scenario names. A new system is one arm here and one name above.
 pub fn dispatch<A: Action>(document: &Document, action: A) -> Result<A::Output, Failure> {
     match document.system()? {
+        PMpa::SYSTEM => action.on::<PMpa>(document),
+        Cooperation::SYSTEM => action.on::<Cooperation>(document),
+        Mrclam::SYSTEM => action.on::<Mrclam>(document),
+        Plaza::SYSTEM => action.on::<Plaza>(document),
         #[cfg(test)]
         crate::testing::Walk::SYSTEM => action.on::<crate::testing::Walk>(document),
         unknown => {

@@ -55,6 +55,16 @@ pub enum MessageError {
         /// The dimension expected.
         expected: usize,
     },
+    /// A coordinate that its variable does not have.
+    #[error("{what} reads coordinate {index}, expected one below the variable's dimension {dimension}")]
+    Coordinate {
+        /// What reads it.
+        what: &'static str,
+        /// The coordinate, counted from zero.
+        index: usize,
+        /// The variable's dimension.
+        dimension: usize,
+    },
     /// A rule or an operation that a family does not have.
     #[error("{0}")]
     Unsupported(String),

@@ -1,6 +1,7 @@
 //! Factors that every user of positioning expects.
 
 mod bearing;
+mod checks;
 mod constant_velocity;
 mod displacement;
 mod linear;

@@ -6,12 +6,21 @@
 //! | [`results`] | what one run returns: estimates beside the truth, bounds, diagnostics |
 //! | [`metrics`] | error, consistency and bound figures over many runs |
 //! | [`campaign`] | runs in parallel, in a fixed order, resumable |
+//! | [`form`] | how scenario files spell the form of an edge |
+//! | [`cooperation`] | agents that locate themselves by ranges to each other and to anchors |
+//! | [`pmpa`] | one target among known nodes: Kalman, particle and message-passing filters |
+//! | [`robots`] | robots located on recorded data |
 //! | [`error`] | the crate's error |
 
 pub mod campaign;
+pub mod cooperation;
+mod costs;
 pub mod error;
+pub mod form;
 pub mod metrics;
+pub mod pmpa;
 pub mod results;
+pub mod robots;
 pub mod scenario;
 
 pub use error::PositioningError;

@@ -14,6 +14,7 @@ use std::path::Path;
 use serde::de::{DeserializeOwned, MapAccess, Visitor};
 use serde::ser::SerializeMap;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
+use sumprod_graph::{Purpose, Stream};
 
 use crate::error::PositioningError;
 use crate::results::RunResult;
@@ -165,6 +166,17 @@ pub struct RunRequest<'a> {
     pub run: u32,
     /// Ids of the methods to run, in order, each known to the scenario.
     pub methods: &'a [String],
+}
+
+impl RunRequest<'_> {
+    /// Seed of a method's own draws: the same whichever other methods run beside it.
+    pub fn method_seed(&self, method: &str) -> u64 {
+        // FNV-1a, whose value is fixed for all platforms and versions.
+        let hash = method.bytes().fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| {
+            (hash ^ u64::from(byte)).wrapping_mul(0x0000_0100_0000_01b3)
+        });
+        Stream::new(self.seed, u64::from(self.run), Purpose::User(0), hash).id()
+    }
 }
 
 /// What a system implements so that scenario files can be run on it.

@@ -5,7 +5,7 @@ use super::{AnyMessage, AnyValue};
 use crate::particles::{Role, carrier};
 use crate::{DynamicGaussian, Particles, ParticlesForm};
 use smallvec::SmallVec;
-use std::f64::consts::TAU;
+use std::f64::consts::{PI, TAU};
 use sumprod_graph::{Coordinate, Message, MessageError, Messages, Stream};
 
 pub(super) fn gaussian_product(
@@ -41,37 +41,41 @@ pub(super) fn gaussian_product(
     Ok(())
 }
 
-/// Brings Gaussians on angles to the turn of the first that has a mean: 3.1 and -3.1 rad are near, not opposite.
+/// Brings Gaussians on angles to the turn of the first that knows the angle: 3.1 and -3.1 rad are near, not opposite.
 struct Turns<'a> {
     coordinates: &'a [Coordinate],
-    reference: Option<SmallVec<[f64; 6]>>,
+    /// By coordinate, the angle that all are brought to.
+    references: SmallVec<[Option<f64>; 6]>,
 }
+
+/// Variance up to which a message knows an angle (rad²): three standard deviations make half a turn. What a vaguer one
+/// says is a line through the point it was linearised at; its mean may lie turns away, and names no turn.
+const KNOWN_ANGLE: f64 = PI * PI / 9.0;
 
 impl<'a> Turns<'a> {
     fn new(coordinates: &'a [Coordinate]) -> Self {
-        Self { coordinates, reference: None }
+        Self { coordinates, references: SmallVec::from_elem(None, coordinates.len()) }
     }
 
-    /// The message on the reference's turn, where it is on another.
+    /// The message on the references' turns, where it is on others.
     fn aligned(&mut self, gaussian: &DynamicGaussian) -> Option<DynamicGaussian> {
         if !self.coordinates.contains(&Coordinate::Angle) {
             return None;
         }
-        let mut mean: SmallVec<[f64; 6]> = SmallVec::from_elem(0.0, gaussian.dimension());
-        gaussian.mean_into(&mut mean).ok()?;
-        let Some(reference) = &self.reference else {
-            self.reference = Some(mean);
-            return None;
-        };
-        let shift: SmallVec<[f64; 6]> = self
-            .coordinates
-            .iter()
-            .zip(mean.iter().zip(reference))
-            .map(|(kind, (own, other))| match kind {
-                Coordinate::Angle => TAU * ((other - own) / TAU).round(),
-                Coordinate::Real => 0.0,
-            })
-            .collect();
+        let d = gaussian.dimension();
+        let factor = gaussian.factor().ok()?;
+        let mut mean: SmallVec<[f64; 6]> = SmallVec::from_slice(gaussian.information_vector());
+        factor.solve(&mut mean);
+        let mut shift: SmallVec<[f64; 6]> = SmallVec::from_elem(0.0, d);
+        for index in (0..d).filter(|&index| self.coordinates[index] == Coordinate::Angle) {
+            let mut column: SmallVec<[f64; 6]> = SmallVec::from_elem(0.0, d);
+            column[index] = 1.0;
+            factor.solve(&mut column);
+            if column[index] <= KNOWN_ANGLE {
+                let reference = *self.references[index].get_or_insert(mean[index]);
+                shift[index] = TAU * ((reference - mean[index]) / TAU).round();
+            }
+        }
         shift.iter().any(|&turn| turn != 0.0).then(|| gaussian.shifted(&shift))
     }
 }
@@ -153,4 +157,34 @@ fn drawn_product(
     out.value = AnyValue::Particles(particles);
     out.lose(loss);
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::AnyForm;
+    use sumprod_graph::{Purpose, Space};
+
+    fn product_of(messages: &[AnyMessage]) -> f64 {
+        let edges: Vec<u32> = (0..messages.len() as u32).collect();
+        let mut stream = Stream::new(1, 0, Purpose::Belief, 0);
+        let product =
+            AnyMessage::product(Messages::new(messages, &edges), &AnyForm::gaussian(), &mut stream).unwrap();
+        product.moments().unwrap().mean[1]
+    }
+
+    #[test]
+    fn only_messages_that_know_an_angle_meet_on_one_turn() {
+        let space = Space::new([Coordinate::Real, Coordinate::Angle]);
+        let message = |heading: f64, variance: f64| {
+            AnyMessage::gaussian(&space, &[0.0, heading], &[1.0, 0.0, 0.0, variance]).unwrap()
+        };
+        let (sharp, other_turn) = (message(3.0, 0.01), message(3.2 - TAU, 0.01));
+        assert!((product_of(&[sharp.clone(), other_turn]) - 3.1).abs() < 1e-12);
+        // A line whose mean is four radians off with a standard deviation of two is no other turn.
+        let vague = message(7.0, 4.0);
+        let linear = (3.0 / 0.01 + 7.0 / 4.0) / (1.0 / 0.01 + 1.0 / 4.0);
+        assert!((product_of(&[sharp.clone(), vague.clone()]) - linear).abs() < 1e-12);
+        assert!((product_of(&[vague, sharp]) - linear).abs() < 1e-12);
+    }
 }

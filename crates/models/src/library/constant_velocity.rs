@@ -1,5 +1,6 @@
 //! Constant velocity in any number of axes, state [x, vx, y, vy, ...].
 
+use super::checks::finite;
 use crate::{Motion, ProcessNoise, Real};
 use sumprod_graph::MessageError;
 
@@ -58,7 +59,9 @@ impl ConstantVelocity {
         }
         let mut covariance = vec![0.0; width * width];
         (0..width).for_each(|k| covariance[k * width + k] = variance);
-        Ok(Self { axes, interval, noise: ProcessNoise::driven(&gain, &covariance)? })
+        let noise = ProcessNoise::driven(&gain, &covariance)?;
+        finite("an entry of the process noise", &noise.covariance())?;
+        Ok(Self { axes, interval, noise })
     }
 }
 
@@ -83,5 +86,22 @@ impl Motion for ConstantVelocity {
 
     fn noise(&self, _state: &[f64]) -> ProcessNoise {
         self.noise.clone()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn noise_that_overflows_is_refused() {
+        for result in [
+            ConstantVelocity::held_acceleration(2, 1e100, 1e200),
+            ConstantVelocity::white_acceleration(2, 1e100, 1e200),
+            ConstantVelocity::white_acceleration(2, 1e200, 1.0),
+        ] {
+            let error = result.err();
+            assert!(matches!(error, Some(MessageError::NotFinite { .. })), "{error:?}");
+        }
     }
 }

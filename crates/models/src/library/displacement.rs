@@ -1,5 +1,6 @@
 //! A measured displacement between two points of one static dimension, for graphs of a single family.
 
+use super::checks::finite;
 use nalgebra::{SMatrix, SVector};
 use sumprod_graph::{Factor, Incoming, MessageError, Port, Stream};
 use sumprod_messages::{Gaussian, GaussianForm};
@@ -15,18 +16,30 @@ pub struct Displacement<const D: usize> {
 
 impl<const D: usize> Displacement<D> {
     /// A displacement by its measured value and information J = R⁻¹.
-    pub fn from_information(displacement: SVector<f64, D>, information: SMatrix<f64, D, D>) -> Self {
-        Self { information, pull: information * displacement }
+    ///
+    /// # Errors
+    ///
+    /// Where an entry of the displacement, of J or of their product is not finite.
+    pub fn from_information(
+        displacement: SVector<f64, D>,
+        information: SMatrix<f64, D, D>,
+    ) -> Result<Self, MessageError> {
+        finite("an entry of the displacement", &displacement)?;
+        finite("an entry of the displacement's information", &information)?;
+        let pull = information * displacement;
+        finite("the displacement weighted by its information", &pull)?;
+        Ok(Self { information, pull })
     }
 
     /// A displacement by its measured value and covariance R.
     ///
     /// # Errors
     ///
-    /// Where R is not positive definite.
+    /// Where an entry is not finite, or R is not positive definite.
     pub fn new(displacement: SVector<f64, D>, covariance: SMatrix<f64, D, D>) -> Result<Self, MessageError> {
+        finite("an entry of the displacement's covariance", &covariance)?;
         let message = Gaussian::from_moments(displacement, covariance)?;
-        Ok(Self { information: *message.information(), pull: *message.information_vector() })
+        Self::from_information(displacement, *message.information())
     }
 }
 
@@ -83,5 +96,33 @@ impl<const D: usize> Factor<Gaussian<D>> for Displacement<D> {
         let vector = pull + gain * (other.information_vector() - pull);
         *out = Gaussian::from_information(information, vector);
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::{Matrix2, Vector2};
+
+    #[test]
+    fn numbers_that_are_not_finite_are_refused() {
+        let (shift, one) = (Vector2::new(1.0, -2.0), Matrix2::identity());
+        for bad in [f64::NAN, f64::INFINITY] {
+            let bad_shift = Vector2::new(0.0, bad);
+            // Above the diagonal, where a Cholesky factor does not look.
+            let bad_matrix = Matrix2::new(1.0, bad, 0.0, 1.0);
+            for result in [
+                Displacement::new(bad_shift, one),
+                Displacement::new(shift, bad_matrix),
+                Displacement::from_information(bad_shift, one),
+                Displacement::from_information(shift, bad_matrix),
+            ] {
+                let error = result.err();
+                assert!(matches!(error, Some(MessageError::NotFinite { .. })), "{error:?}");
+            }
+        }
+        let overflow = Displacement::from_information(shift * 1e200, one * 1e200).unwrap_err();
+        assert!(overflow.to_string().starts_with("the displacement weighted by its information is"));
+        assert!(Displacement::new(shift, one * 1e-320).is_err(), "a covariance without a finite inverse");
     }
 }

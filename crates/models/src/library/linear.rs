@@ -1,5 +1,6 @@
 //! Linear-Gaussian factors of any arity.
 
+use super::checks::{finite, size};
 use crate::{Noise, Real, Residual};
 use sumprod_graph::MessageError;
 
@@ -18,12 +19,13 @@ impl LinearGaussian {
     ///
     /// # Errors
     ///
-    /// Where the sizes of matrices, target and noise do not agree.
+    /// Where there is no matrix, the sizes of matrices, target and noise do not agree, or an entry is not finite.
     pub fn new(matrices: &[&[f64]], target: &[f64], noise: Noise) -> Result<Self, MessageError> {
         let rows = target.len();
-        if noise.dimension() != rows {
-            let (found, expected) = (noise.dimension(), rows);
-            return Err(MessageError::Dimension { what: "the noise", found, expected });
+        size("the noise", noise.dimension(), rows)?;
+        finite("an entry of the target", target)?;
+        if matrices.is_empty() {
+            return Err(MessageError::Dimension { what: "the list of matrices", found: 0, expected: 1 });
         }
         let mut dimensions = Vec::with_capacity(matrices.len());
         for matrix in matrices {
@@ -34,6 +36,7 @@ impl LinearGaussian {
                     expected: rows,
                 });
             }
+            finite("an entry of a matrix", *matrix)?;
             dimensions.push(matrix.len() / rows);
         }
         let matrices = matrices.iter().map(|matrix| matrix.to_vec()).collect();
@@ -60,5 +63,31 @@ impl Residual for LinearGaussian {
             }
             *out = sum;
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn matrices_that_do_not_fit_are_refused() {
+        let error = |matrices: &[&[f64]], target: &[f64], components| {
+            let noise = Noise::isotropic(components, 1.0).unwrap();
+            LinearGaussian::new(matrices, target, noise).err()
+        };
+        assert_eq!(error(&[&[1.0, 0.0, 0.0, 1.0], &[1.0, 2.0]], &[0.0; 2], 2), None);
+        for (matrices, components, what, found, expected) in [
+            (&[&[1.0; 4][..]][..], 3, "the noise", 3, 2),
+            (&[&[1.0; 4], &[1.0; 3]], 2, "a matrix", 3, 2),
+            (&[&[]], 2, "a matrix", 0, 2),
+            (&[], 2, "the list of matrices", 0, 1),
+        ] {
+            let expected = Some(MessageError::Dimension { what, found, expected });
+            assert_eq!(error(matrices, &[0.0; 2], components), expected);
+        }
+        let infinite = |what| Some(MessageError::NotFinite { what, value: f64::INFINITY });
+        assert_eq!(error(&[&[1.0, f64::INFINITY]], &[0.0], 1), infinite("an entry of a matrix"));
+        assert_eq!(error(&[&[1.0]], &[f64::INFINITY], 1), infinite("an entry of the target"));
     }
 }

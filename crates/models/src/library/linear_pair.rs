@@ -1,5 +1,6 @@
 //! A linear-Gaussian factor between two variables of one static dimension, for graphs of a single family.
 
+use super::checks::finite;
 use nalgebra::{SMatrix, SVector};
 use sumprod_graph::{Factor, Incoming, MessageError, Port, Stream};
 use sumprod_messages::{Gaussian, GaussianForm};
@@ -19,13 +20,17 @@ impl<const D: usize> LinearPair<D> {
     ///
     /// # Errors
     ///
-    /// Where R is not positive definite.
+    /// Where an entry, or one of the joint information that follows, is not finite, or R is not positive definite.
     pub fn new<const M: usize>(
         a: &SMatrix<f64, M, D>,
         b: &SMatrix<f64, M, D>,
         target: &SVector<f64, M>,
         covariance: &SMatrix<f64, M, M>,
     ) -> Result<Self, MessageError> {
+        finite("an entry of the first matrix", a)?;
+        finite("an entry of the second matrix", b)?;
+        finite("an entry of the target", target)?;
+        finite("an entry of the noise covariance", covariance)?;
         let not_definite = MessageError::NotPositiveDefinite {
             what: "the noise covariance",
             pivot: 0,
@@ -33,11 +38,12 @@ impl<const D: usize> LinearPair<D> {
         };
         let information = covariance.cholesky().ok_or(not_definite)?.inverse();
         let (weighted_a, weighted_b) = (a.transpose() * information, b.transpose() * information);
-        Ok(Self {
-            own: [weighted_a * a, weighted_b * b],
-            cross: weighted_a * b,
-            vector: [weighted_a * target, weighted_b * target],
-        })
+        let own = [weighted_a * a, weighted_b * b];
+        let cross = weighted_a * b;
+        let vector = [weighted_a * target, weighted_b * target];
+        finite("an entry of the joint information", own.iter().flatten().chain(&cross))?;
+        finite("an entry of the joint information vector", vector.iter().flatten())?;
+        Ok(Self { own, cross, vector })
     }
 
     #[inline]
@@ -115,5 +121,37 @@ impl<const D: usize> Factor<Gaussian<D>> for LinearPair<D> {
         _stream: &mut Stream,
     ) -> Result<Gaussian<D>, MessageError> {
         self.send(to, incoming.message(1 - to))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::{Matrix2, Vector2};
+
+    #[test]
+    fn numbers_that_are_not_finite_are_refused() {
+        let (one, zero) = (Matrix2::identity(), Vector2::zeros());
+        assert!(LinearPair::new(&one, &one, &zero, &one).is_ok());
+        for bad in [f64::NAN, f64::INFINITY] {
+            // Above the diagonal, where a Cholesky factor does not look.
+            let matrix = Matrix2::new(1.0, bad, 0.0, 1.0);
+            let vector = Vector2::new(0.0, bad);
+            for (result, expected) in [
+                (LinearPair::new(&matrix, &one, &zero, &one), "an entry of the first matrix"),
+                (LinearPair::new(&one, &matrix, &zero, &one), "an entry of the second matrix"),
+                (LinearPair::new(&one, &one, &vector, &one), "an entry of the target"),
+                (LinearPair::new(&one, &one, &zero, &matrix), "an entry of the noise covariance"),
+            ] {
+                let error = result.err();
+                assert!(
+                    matches!(error, Some(MessageError::NotFinite { what, .. }) if what == expected),
+                    "{error:?}"
+                );
+            }
+        }
+        let overflow = LinearPair::new(&(one * 1e200), &one, &zero, &one).unwrap_err();
+        assert_eq!(overflow.to_string(), "an entry of the joint information is inf");
+        assert!(LinearPair::new(&one, &one, &zero, &(one * 1e-320)).is_err());
     }
 }

@@ -2,11 +2,12 @@
 //!
 //! Variables may be larger than a position (a state, a pose): a range reads the coordinates it is told to.
 
+use super::checks::{coordinates, finite, size};
 use crate::{Noise, PortSampler, Real, Residual};
 use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
 use std::f64::consts::TAU;
-use sumprod_graph::{FastStream, Port};
+use sumprod_graph::{FastStream, MessageError, Port};
 
 /// Shortest distance whose direction is taken as known (m): below it a range has no gradient.
 pub(super) const TOUCHING: f64 = 1e-9;
@@ -29,8 +30,21 @@ pub struct Range {
 
 impl Range {
     /// A range (m) between two variables of these dimensions, whose positions are at these coordinates.
-    pub fn new(measured: f64, dimensions: [usize; 2], positions: [[usize; 2]; 2], noise: Noise) -> Self {
-        Self { measured, dimensions, positions, noise }
+    ///
+    /// # Errors
+    ///
+    /// Where the range is not finite, a variable lacks a coordinate, or the noise has not one component.
+    pub fn new(
+        measured: f64,
+        dimensions: [usize; 2],
+        positions: [[usize; 2]; 2],
+        noise: Noise,
+    ) -> Result<Self, MessageError> {
+        finite("the measured range", &[measured])?;
+        coordinates("the range's position at port 0", &positions[0], dimensions[0])?;
+        coordinates("the range's position at port 1", &positions[1], dimensions[1])?;
+        size("the noise of the range", noise.dimension(), 1)?;
+        Ok(Self { measured, dimensions, positions, noise })
     }
 }
 
@@ -50,6 +64,20 @@ impl Residual for Range {
     }
 }
 
+/// Refuses what no range to an anchor can be made of.
+fn check_anchor_range(
+    measured: f64,
+    anchor: [f64; 2],
+    dimension: usize,
+    position: [usize; 2],
+    noise: &Noise,
+) -> Result<(), MessageError> {
+    finite("the measured range", &[measured])?;
+    finite("the anchor's position", &anchor)?;
+    coordinates("the range's position", &position, dimension)?;
+    size("the noise of the range", noise.dimension(), 1)
+}
+
 /// The measured distance z to an anchor at a known position: r = |p - a| - z.
 #[derive(Clone, Debug)]
 pub struct AnchorRange {
@@ -62,14 +90,20 @@ pub struct AnchorRange {
 
 impl AnchorRange {
     /// A range (m) from a variable of this dimension, its position at these coordinates, to an anchor (m).
+    ///
+    /// # Errors
+    ///
+    /// Where the range or the anchor is not finite, the variable lacks a coordinate, or the noise has not one
+    /// component.
     pub fn new(
         measured: f64,
         anchor: [f64; 2],
         dimension: usize,
         position: [usize; 2],
         noise: Noise,
-    ) -> Self {
-        Self { measured, anchor, dimensions: [dimension], position, noise }
+    ) -> Result<Self, MessageError> {
+        check_anchor_range(measured, anchor, dimension, position, &noise)?;
+        Ok(Self { measured, anchor, dimensions: [dimension], position, noise })
     }
 }
 
@@ -119,14 +153,20 @@ pub struct CalibratedRange {
 
 impl CalibratedRange {
     /// A range (m) from a variable of this dimension, its position at these coordinates, to an anchor (m).
+    ///
+    /// # Errors
+    ///
+    /// Where the range or the anchor is not finite, the variable lacks a coordinate, or the noise has not one
+    /// component.
     pub fn new(
         measured: f64,
         anchor: [f64; 2],
         dimension: usize,
         position: [usize; 2],
         noise: Noise,
-    ) -> Self {
-        Self { measured, anchor, dimensions: [dimension, 2], position, noise }
+    ) -> Result<Self, MessageError> {
+        check_anchor_range(measured, anchor, dimension, position, &noise)?;
+        Ok(Self { measured, anchor, dimensions: [dimension, 2], position, noise })
     }
 }
 
@@ -144,5 +184,61 @@ impl Residual for CalibratedRange {
         let [east, north] = self.position;
         let true_range = distance(x[0][east] - self.anchor[0], x[0][north] - self.anchor[1]);
         out[0] = true_range * (x[1][0] + 1.0) + x[1][1] - self.measured;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn noise(components: usize) -> Noise {
+        Noise::isotropic(components, 1.0).unwrap()
+    }
+
+    #[test]
+    fn a_range_refuses_what_it_cannot_read() {
+        let place = [0, 1];
+        assert!(Range::new(1.0, [2, 4], [place, [0, 3]], noise(1)).is_ok());
+        for measured in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
+            let error = Range::new(measured, [2, 2], [place; 2], noise(1)).unwrap_err();
+            assert!(matches!(error, MessageError::NotFinite { what: "the measured range", .. }), "{error}");
+        }
+        for (dimensions, positions, what, index, dimension) in [
+            ([1, 2], [place; 2], "the range's position at port 0", 1, 1),
+            ([4, 4], [place, [4, 0]], "the range's position at port 1", 4, 4),
+            ([2, 0], [place; 2], "the range's position at port 1", 0, 0),
+            ([2, 2], [[0, usize::MAX], place], "the range's position at port 0", usize::MAX, 2),
+        ] {
+            let error = Range::new(1.0, dimensions, positions, noise(1)).unwrap_err();
+            assert_eq!(error, MessageError::Coordinate { what, index, dimension });
+        }
+        assert_eq!(
+            Range::new(1.0, [2, 2], [place; 2], noise(2)).unwrap_err(),
+            MessageError::Dimension { what: "the noise of the range", found: 2, expected: 1 }
+        );
+    }
+
+    #[test]
+    fn ranges_to_anchors_refuse_what_they_cannot_read() {
+        type Arguments = (f64, [f64; 2], usize, [usize; 2], Noise);
+        let refusal = |(measured, anchor, dimension, position, noise): Arguments| {
+            let plain = AnchorRange::new(measured, anchor, dimension, position, noise.clone()).err();
+            let calibrated = CalibratedRange::new(measured, anchor, dimension, position, noise).err();
+            assert_eq!(plain.as_ref().map(ToString::to_string), calibrated.map(|error| error.to_string()));
+            plain
+        };
+        assert_eq!(refusal((1.0, [0.0, 2.0], 4, [2, 0], noise(1))), None);
+        let measured = refusal((f64::NAN, [0.0; 2], 2, [0, 1], noise(1)));
+        assert!(matches!(measured, Some(MessageError::NotFinite { what: "the measured range", .. })));
+        let anchor = refusal((1.0, [0.0, f64::NAN], 2, [0, 1], noise(1)));
+        assert!(matches!(anchor, Some(MessageError::NotFinite { what: "the anchor's position", .. })));
+        assert_eq!(
+            refusal((1.0, [0.0; 2], 2, [0, 2], noise(1))),
+            Some(MessageError::Coordinate { what: "the range's position", index: 2, dimension: 2 })
+        );
+        assert_eq!(
+            refusal((1.0, [0.0; 2], 2, [0, 1], noise(3))),
+            Some(MessageError::Dimension { what: "the noise of the range", found: 3, expected: 1 })
+        );
     }
 }

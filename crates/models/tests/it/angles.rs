@@ -94,7 +94,7 @@ fn particles_and_gaussians_meet_on_one_turn() {
     };
     let read = |message: AnyMessage| message.moments().unwrap();
     let motion = Model(Transition::new(unicycle()));
-    let seen = Model(ResidualModel(Bearing::new(0.4, 3, Noise::isotropic(1, 0.01).unwrap())));
+    let seen = Model(ResidualModel(Bearing::new(0.4, 3, Noise::isotropic(1, 0.01).unwrap()).unwrap()));
     let [low, high] = [PI + 0.05 - TAU, PI + 0.05].map(|heading| {
         let ports = [message.clone(), belief(0.1)];
         let beliefs = [belief(heading), belief(0.1)];
@@ -126,7 +126,7 @@ fn a_prior_on_the_other_side_of_the_half_turn_is_near() {
         DynamicGaussian::from_moments(&[0.0, 0.0, 3.1], &crate::support::rows(&diagonal(&[1.0, 1.0, 0.01])));
     graph.set_prior(x, belief.unwrap()).unwrap();
     let noise = Noise::diagonal(&[1.0, 1.0, 0.01]).unwrap();
-    graph.add("compass", Prior::new(&Space::pose2(), &[0.0, 0.0, -3.1], noise), &[x]).unwrap();
+    graph.add("compass", Prior::new(&Space::pose2(), &[0.0, 0.0, -3.1], noise).unwrap(), &[x]).unwrap();
     let mut engine = Engine::new(&graph, Options::default()).unwrap();
     engine.run(&mut Flooding).unwrap();
     let moments = engine.belief(x).moments().unwrap();
@@ -150,7 +150,7 @@ fn bearings_near_the_half_turn_equal_the_turned_scene() {
             let bearing = wrap_angle(bearing + if behind { PI } else { 0.0 } - turn);
             let range = f64::hypot(landmark[0], landmark[1]);
             let noise = Noise::diagonal(&[0.04, 0.01]).unwrap();
-            let seen = RangeBearing::to_anchor(range, bearing, landmark, noise);
+            let seen = RangeBearing::to_anchor(range, bearing, landmark, noise).unwrap();
             graph.add("landmark", seen, &[x]).unwrap();
         }
         let mut engine = Engine::new(&graph, Options::default()).unwrap();
@@ -170,7 +170,7 @@ fn bearings_near_the_half_turn_equal_the_turned_scene() {
 #[test]
 fn pointwise_bearings_do_not_depend_on_the_turn() {
     let noise = Noise::isotropic(1, 0.01).unwrap();
-    let bearing = Model(ResidualModel(Bearing::to_anchor(PI - 0.01, [5.0, 0.0], noise)));
+    let bearing = Model(ResidualModel(Bearing::to_anchor(PI - 0.01, [5.0, 0.0], noise).unwrap()));
     // The same four poses, headings on one side and on the other.
     let points = [0.05, -0.05, 0.05 + TAU, -0.05 - TAU].map(|heading| [1.0, 0.0, heading]).concat();
     let carrier = [Particles::equally_weighted(&Space::pose2(), points).unwrap()];

@@ -61,14 +61,16 @@ impl Chain {
         let x: Vec<_> = (0..self.steps).map(|_| graph.unnamed_variable(Space::real(4))).collect();
         if let Some((mean, covariance)) = &self.prior {
             let noise = Noise::gaussian(&rows(covariance)).unwrap();
-            graph.add("prior", Prior::new(&Space::real(4), mean.as_slice(), noise), &[x[0]]).unwrap();
+            graph
+                .add("prior", Prior::new(&Space::real(4), mean.as_slice(), noise).unwrap(), &[x[0]])
+                .unwrap();
         }
         for pair in x.windows(2) {
             graph.add_motion("motion", self.motion.clone(), pair[0], pair[1]).unwrap();
         }
         for (k, fix, covariance) in &self.fixes {
             let noise = Noise::gaussian(&rows(covariance)).unwrap();
-            let fix = AnchorOffset::new(fix.as_slice(), &ANCHOR, 4, &[0, 2], noise);
+            let fix = AnchorOffset::new(fix.as_slice(), &ANCHOR, 4, &[0, 2], noise).unwrap();
             graph.add("fix", fix, &[x[*k]]).unwrap();
         }
         let mut engine = Engine::new(&graph, Options::default()).unwrap();

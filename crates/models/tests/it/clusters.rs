@@ -15,7 +15,7 @@ fn noise(dimension: usize) -> Noise {
 }
 
 fn pair() -> Range {
-    Range::new(4.0, [3, 2], [[0, 1], [0, 1]], noise(1))
+    Range::new(4.0, [3, 2], [[0, 1], [0, 1]], noise(1)).unwrap()
 }
 
 /// A pose at 0..3, a point at 3..5.
@@ -28,9 +28,9 @@ fn clusters() -> (Cluster, Vec<Cluster>) {
         let target = if one == 0 { &mut whole } else { &mut parts[0] };
         target.add(pair(), &[pose, point]).unwrap();
         let target = if one == 0 { &mut whole } else { &mut parts[1] };
-        target.add(RangeBearing::new(5.0, 3.0, 2, noise(2)), &[pose, point]).unwrap();
+        target.add(RangeBearing::new(5.0, 3.0, 2, noise(2)).unwrap(), &[pose, point]).unwrap();
         let target = if one == 0 { &mut whole } else { &mut parts[2] };
-        target.add(AnchorRange::new(7.0, [9.0, 9.0], 2, [0, 1], heavy.clone()), &[point]).unwrap();
+        target.add(AnchorRange::new(7.0, [9.0, 9.0], 2, [0, 1], heavy.clone()).unwrap(), &[point]).unwrap();
         let target = if one == 0 { &mut whole } else { &mut parts[3] };
         let turn = LinearGaussian::new(&[&[0.0, 0.0, 1.0]], &[0.4], noise(1)).unwrap();
         target.add(turn, &[pose]).unwrap();

@@ -36,11 +36,11 @@ proptest! {
     fn ranges(x in coordinates(4), y in coordinates(3), anchor in coordinates(2), z in 0.0f64..60.0) {
         let anchor = [anchor[0], anchor[1]];
         prop_assume!(apart([x[0], x[2]], [y[1], y[0]]) && apart([x[0], x[2]], anchor));
-        let pair = Range::new(z, [4, 3], [[0, 2], [1, 0]], noise(1));
+        let pair = Range::new(z, [4, 3], [[0, 2], [1, 0]], noise(1)).unwrap();
         prop_assert_eq!(check_residual(&pair, &[&x, &y], TOLERANCE), Ok(()));
-        let ring = AnchorRange::new(z, anchor, 4, [0, 2], noise(1));
+        let ring = AnchorRange::new(z, anchor, 4, [0, 2], noise(1)).unwrap();
         prop_assert_eq!(check_residual(&ring, &[&x], TOLERANCE), Ok(()));
-        let sensor = CalibratedRange::new(z, anchor, 4, [0, 2], noise(1));
+        let sensor = CalibratedRange::new(z, anchor, 4, [0, 2], noise(1)).unwrap();
         prop_assert_eq!(check_residual(&sensor, &[&x, &[0.05, -0.4]], TOLERANCE), Ok(()));
         let mut residual = [0.0];
         sensor.residual(&[&x[..], &[0.05, -0.4]], &mut residual);
@@ -54,26 +54,26 @@ proptest! {
         prop_assume!(apart(from, [other[0], other[1]]) && apart(from, anchor));
         for target in [2, 3] {
             let to = &other[..target];
-            let bearing = Bearing::new(z, target, noise(1));
+            let bearing = Bearing::new(z, target, noise(1)).unwrap();
             prop_assert_eq!(check_residual(&bearing, &[&pose, to], TOLERANCE), Ok(()));
-            let both = RangeBearing::new(9.0, z, target, noise(2));
+            let both = RangeBearing::new(9.0, z, target, noise(2)).unwrap();
             prop_assert_eq!(check_residual(&both, &[&pose, to], TOLERANCE), Ok(()));
         }
-        let bearing = Bearing::to_anchor(z, anchor, noise(1));
+        let bearing = Bearing::to_anchor(z, anchor, noise(1)).unwrap();
         prop_assert_eq!(check_residual(&bearing, &[&pose], TOLERANCE), Ok(()));
-        let both = RangeBearing::to_anchor(9.0, z, anchor, noise(2));
+        let both = RangeBearing::to_anchor(9.0, z, anchor, noise(2)).unwrap();
         prop_assert_eq!(check_residual(&both, &[&pose], TOLERANCE), Ok(()));
     }
 
     #[test]
     fn linear_residuals(x in coordinates(4), y in coordinates(3), z in coordinates(2), entries in coordinates(14)) {
-        let offset = RelativePosition::new(&z, [4, 3], [&[0, 2], &[2, 0]], noise(2));
+        let offset = RelativePosition::new(&z, [4, 3], [&[0, 2], &[2, 0]], noise(2)).unwrap();
         prop_assert_eq!(check_residual(&offset, &[&x, &y], TOLERANCE), Ok(()));
-        let fix = AnchorOffset::new(&z, &[3.0, -4.0], 4, &[2, 0], noise(2));
+        let fix = AnchorOffset::new(&z, &[3.0, -4.0], 4, &[2, 0], noise(2)).unwrap();
         prop_assert_eq!(check_residual(&fix, &[&x], TOLERANCE), Ok(()));
         let linear = LinearGaussian::new(&[&entries[..8], &entries[8..]], &z, noise(2)).unwrap();
         prop_assert_eq!(check_residual(&linear, &[&x, &y], TOLERANCE), Ok(()));
-        let prior = Prior::new(&Space::pose2(), &[z[0], z[1], 3.0], noise(3));
+        let prior = Prior::new(&Space::pose2(), &[z[0], z[1], 3.0], noise(3)).unwrap();
         prop_assert_eq!(check_residual(&prior, &[&y], TOLERANCE), Ok(()));
         let mut residual = [0.0; 2];
         fix.residual(&[&x[..]], &mut residual);
@@ -173,29 +173,22 @@ fn a_derivative_that_is_not_finite_is_refused() {
 #[test]
 fn an_angle_that_crosses_the_half_turn_is_no_jump() {
     // Straight behind: atan2 jumps by a full turn between the two sides of the difference.
-    let bearing = Bearing::to_anchor(0.2, [-10.0, 0.0], noise(1));
+    let bearing = Bearing::to_anchor(0.2, [-10.0, 0.0], noise(1)).unwrap();
     assert_eq!(check_residual(&bearing, &[&[0.0, 0.0, 0.1]], TOLERANCE), Ok(()));
 }
 
 #[test]
 fn ranges_and_bearings_at_a_touching_point_are_finite() {
-    let model = sumprod_models::Model(sumprod_models::ResidualModel(AnchorRange::new(
-        1.0,
-        [2.0, 3.0],
-        2,
-        [0, 1],
-        noise(1),
-    )));
+    let model = sumprod_models::Model(sumprod_models::ResidualModel(
+        AnchorRange::new(1.0, [2.0, 3.0], 2, [0, 1], noise(1)).unwrap(),
+    ));
     let there = sumprod_messages::DynamicGaussian::from_moments(&[2.0, 3.0], &[1.0, 0.0, 0.0, 1.0]).unwrap();
     let message = crate::support::send_gaussian(&model, 0, std::slice::from_ref(&there)).unwrap();
     assert!(message.is_flat(), "a range to where one stands has no direction");
 
-    let model = sumprod_models::Model(sumprod_models::ResidualModel(RangeBearing::to_anchor(
-        1.0,
-        0.4,
-        [2.0, 3.0],
-        noise(2),
-    )));
+    let model = sumprod_models::Model(sumprod_models::ResidualModel(
+        RangeBearing::to_anchor(1.0, 0.4, [2.0, 3.0], noise(2)).unwrap(),
+    ));
     let covariance = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
     let there = sumprod_messages::DynamicGaussian::from_moments(&[2.0, 3.0, 0.1], &covariance).unwrap();
     let message = crate::support::send_gaussian(&model, 0, &[there]).unwrap();

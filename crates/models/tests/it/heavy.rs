@@ -65,7 +65,7 @@ fn an_outlier_loses_its_weight() {
         let noise = Noise::isotropic(2, 1.0).unwrap();
         let noise = if heavy { noise.student_t(4.0).unwrap() } else { noise };
         for fix in fixes.iter().copied().chain(outlier.map(|far| [far, far])) {
-            let fix = AnchorOffset::new(&fix, &[0.0, 0.0], 2, &[0, 1], noise.clone());
+            let fix = AnchorOffset::new(&fix, &[0.0, 0.0], 2, &[0, 1], noise.clone()).unwrap();
             graph.add("fix", fix, &[x]).unwrap();
         }
         let mut engine = Engine::new(&graph, Options::default()).unwrap();

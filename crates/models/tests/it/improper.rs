@@ -9,7 +9,7 @@ use sumprod_models::library::{AnchorRange, Bearing, LinearGaussian, Prior, Range
 use sumprod_models::{AddModel, Cluster, Model, Noise, Real, Residual, ResidualModel};
 
 fn range(z: f64) -> Range {
-    Range::new(z, [2, 2], [[0, 1], [0, 1]], Noise::isotropic(1, 0.04).unwrap())
+    Range::new(z, [2, 2], [[0, 1], [0, 1]], Noise::isotropic(1, 0.04).unwrap()).unwrap()
 }
 
 #[test]
@@ -67,10 +67,10 @@ fn a_ring_without_a_start_names_the_remedy() {
     let mut draw = Draw::new(301);
     for _ in 0..500 {
         let anchor = [draw.normal() * 20.0, draw.normal() * 20.0];
-        let ring = AnchorRange::new(5.0, anchor, 2, [0, 1], Noise::isotropic(1, 0.04).unwrap());
+        let ring = AnchorRange::new(5.0, anchor, 2, [0, 1], Noise::isotropic(1, 0.04).unwrap()).unwrap();
         let error = send_gaussian(&Model(ResidualModel(ring)), 0, &[DynamicGaussian::flat(2)]).unwrap_err();
         assert!(names_the_remedy(&error), "{error}");
-        let bearing = Bearing::to_anchor(0.3, anchor, Noise::isotropic(1, 0.01).unwrap());
+        let bearing = Bearing::to_anchor(0.3, anchor, Noise::isotropic(1, 0.01).unwrap()).unwrap();
         let error =
             send_gaussian(&Model(ResidualModel(bearing)), 0, &[DynamicGaussian::flat(3)]).unwrap_err();
         assert!(names_the_remedy(&error), "{error}");
@@ -89,7 +89,7 @@ fn half_a_belief_is_no_start() {
         let information = draw.semidefinite(2, 1);
         let belief = gaussian(&information, &(&information * draw.vector(2)));
         let anchor = [draw.normal() * 20.0, draw.normal() * 20.0];
-        let ring = AnchorRange::new(5.0, anchor, 2, [0, 1], Noise::isotropic(1, 0.04).unwrap());
+        let ring = AnchorRange::new(5.0, anchor, 2, [0, 1], Noise::isotropic(1, 0.04).unwrap()).unwrap();
         let error = send_gaussian(&Model(ResidualModel(ring)), 0, &[belief]).unwrap_err();
         assert!(names_the_remedy(&error), "{error}");
     }
@@ -99,7 +99,7 @@ fn half_a_belief_is_no_start() {
 fn the_engine_adds_the_names() {
     let mut graph = FactorGraph::<AnyMessage>::new();
     let boat = graph.variable("boat", Space::real(2)).unwrap();
-    let ring = AnchorRange::new(5.0, [3.0, 4.0], 2, [0, 1], Noise::isotropic(1, 0.04).unwrap());
+    let ring = AnchorRange::new(5.0, [3.0, 4.0], 2, [0, 1], Noise::isotropic(1, 0.04).unwrap()).unwrap();
     graph.add("range to the pier", ring, &[boat]).unwrap();
     let error = Engine::new(&graph, Options::default()).unwrap().run(&mut Flooding).unwrap_err();
     assert!(matches!(&error, GraphError::Rule { variable, port: 0, .. } if variable == "boat"));
@@ -143,7 +143,7 @@ fn linear_factors_need_no_start() {
         let exact = a.transpose() * weight * (target - b * mean);
         assert!((vector - &exact).amax() < 1e-10 * (1.0 + exact.amax()));
     }
-    let prior = Prior::new(&Space::pose2(), &[1.0, 2.0, 3.0], Noise::isotropic(3, 0.5).unwrap());
+    let prior = Prior::new(&Space::pose2(), &[1.0, 2.0, 3.0], Noise::isotropic(3, 0.5).unwrap()).unwrap();
     let message = send_gaussian(&Model(ResidualModel(prior)), 0, &[DynamicGaussian::flat(3)]).unwrap();
     let moments = message.moments().unwrap();
     assert!(moments.mean.iter().zip([1.0, 2.0, 3.0]).all(|(a, b)| (a - b).abs() < 1e-12));

@@ -34,7 +34,7 @@ fn a_range_from_particles_is_the_integral_over_the_sender() {
     });
     let carrier = Particles::equally_weighted(&Space::real(2), points.collect()).unwrap();
     let noise = Noise::isotropic(1, spread).unwrap();
-    let range = Model(ResidualModel(Range::new(z, [2, 2], [[0, 1], [0, 1]], noise)));
+    let range = Model(ResidualModel(Range::new(z, [2, 2], [[0, 1], [0, 1]], noise).unwrap()));
     for to in 0..2 {
         let mut messages = [sender.clone(), sender.clone()];
         messages[to] = carrier.clone();
@@ -123,7 +123,7 @@ fn posteriors_of_two_points_equal_the_grid() {
         graph.set_prior(x, AnyMessage::gaussian(&space, &mean, &covariance).unwrap()).unwrap();
         x
     });
-    let range = Range::new(z, [2, 2], [[0, 1], [0, 1]], Noise::isotropic(1, spread).unwrap());
+    let range = Range::new(z, [2, 2], [[0, 1], [0, 1]], Noise::isotropic(1, spread).unwrap()).unwrap();
     let factor = graph.add("range", range, &x).unwrap();
     for port in 0..2 {
         graph.set_edge_form(factor, port, AnyForm::particles(1000)).unwrap();
@@ -154,7 +154,7 @@ fn a_unary_factor_is_its_density_at_the_particles() {
     for heavy in [false, true] {
         let noise = Noise::gaussian(&rows(&covariance)).unwrap();
         let noise = if heavy { noise.student_t(3.0).unwrap() } else { noise };
-        let prior = Model(ResidualModel(Prior::new(&Space::real(2), &[0.5, -0.2], noise.clone())));
+        let prior = Model(ResidualModel(Prior::new(&Space::real(2), &[0.5, -0.2], noise.clone()).unwrap()));
         let one = [carrier.clone()];
         let message: Particles = send(&prior, 0, &one, &one, &ParticlesForm::new(50)).unwrap();
         for (point, log) in carrier.points().chunks(2).zip(message.log_weights()) {
@@ -240,7 +240,7 @@ fn a_sender_with_values_alone_is_refused() {
 fn a_ring_is_drawn_where_the_receiver_has_no_particles() {
     let (z, variance, anchor, count) = (20.0, 0.25, [3.0, -4.0], 10_000);
     let noise = Noise::isotropic(1, variance).unwrap();
-    let ring = Model(ResidualModel(AnchorRange::new(z, anchor, 2, [1, 0], noise)));
+    let ring = Model(ResidualModel(AnchorRange::new(z, anchor, 2, [1, 0], noise).unwrap()));
     let none = [<Particles as sumprod_graph::Message>::vacuous(&Space::real(2))];
     let drawn: Particles = send(&ring, 0, &none, &none, &ParticlesForm::new(count)).unwrap();
     assert_eq!((drawn.role(), drawn.len()), (Role::Sample, count));

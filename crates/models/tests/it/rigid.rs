@@ -47,17 +47,17 @@ fn agents(world: Rigid, linearisation: Linearisation) -> Vec<(DVector<f64>, DMat
         graph.set_start(x[k], start).unwrap();
         for anchor in anchors {
             let z = distance(at, anchor) + 0.5 * draw.normal();
-            let ring = AnchorRange::new(z, world.point(anchor), 2, [0, 1], noise());
+            let ring = AnchorRange::new(z, world.point(anchor), 2, [0, 1], noise()).unwrap();
             factors.push(graph.add("ring", ring, &[x[k]]).unwrap());
         }
         let next = (k + 1) % 5;
         let z = distance(at, truth[next]) + 0.5 * draw.normal();
-        let pair = Range::new(z, [2, 2], [[0, 1], [0, 1]], noise());
+        let pair = Range::new(z, [2, 2], [[0, 1], [0, 1]], noise()).unwrap();
         factors.push(graph.add("range", pair, &[x[k], x[next]]).unwrap());
         let other = (k + 2) % 5;
         let offset = world.offset([truth[other][0] - at[0], truth[other][1] - at[1]]);
         let rough = Noise::isotropic(2, 9.0).unwrap();
-        let pair = RelativePosition::new(&offset, [2, 2], [&[0, 1], &[0, 1]], rough);
+        let pair = RelativePosition::new(&offset, [2, 2], [&[0, 1], &[0, 1]], rough).unwrap();
         graph.add("offset", pair, &[x[k], x[other]]).unwrap();
     }
     for factor in factors {
@@ -108,15 +108,15 @@ fn poses(world: Rigid) -> Vec<(DVector<f64>, DMatrix<f64>)> {
         for landmark in landmarks {
             let [range, bearing] = seen(pose, landmark);
             let (range, bearing) = (range + 0.2 * draw.normal(), bearing + 0.1 * draw.normal());
-            let factor = RangeBearing::to_anchor(range, bearing, world.point(landmark), noise());
+            let factor = RangeBearing::to_anchor(range, bearing, world.point(landmark), noise()).unwrap();
             graph.add("landmark", factor, &[x[k]]).unwrap();
         }
     }
     let [range, bearing] = seen(truth[0], [truth[1][0], truth[1][1]]);
-    let factor = RangeBearing::new(range + 0.1, bearing - 0.05, 3, noise());
+    let factor = RangeBearing::new(range + 0.1, bearing - 0.05, 3, noise()).unwrap();
     graph.add("each other", factor, &[x[0], x[1]]).unwrap();
     let fix = world.point([1.1, 2.1]);
-    let fix = AnchorOffset::new(&fix, &[0.0, 0.0], 3, &[0, 1], Noise::isotropic(2, 0.5).unwrap());
+    let fix = AnchorOffset::new(&fix, &[0.0, 0.0], 3, &[0, 1], Noise::isotropic(2, 0.5).unwrap()).unwrap();
     graph.add("fix", fix, &[x[0]]).unwrap();
     let options = Options { max_iterations: 12, tolerance: 0.0, ..Options::default() };
     let mut engine = Engine::new(&graph, options).unwrap();

@@ -58,12 +58,14 @@ fn a_curved_range_is_nearer_the_grid() {
     let errors = [Linearisation::Jacobian, Linearisation::SigmaPoints].map(|linearisation| {
         let mut graph = FactorGraph::<DynamicGaussian>::new();
         let x = graph.unnamed_variable(Space::real(2));
-        let prior = Prior::new(&Space::real(2), &prior_mean, Noise::diagonal(&prior_variance).unwrap());
+        let prior =
+            Prior::new(&Space::real(2), &prior_mean, Noise::diagonal(&prior_variance).unwrap()).unwrap();
         graph.add("prior", prior, &[x]).unwrap();
         graph
             .set_start(x, DynamicGaussian::from_moments(&prior_mean, &[1.0, 0.0, 0.0, 9.0]).unwrap())
             .unwrap();
-        let ring = AnchorRange::new(z, [0.0, 0.0], 2, [0, 1], Noise::isotropic(1, variance).unwrap());
+        let ring =
+            AnchorRange::new(z, [0.0, 0.0], 2, [0, 1], Noise::isotropic(1, variance).unwrap()).unwrap();
         let factor = graph.add("ring", ring, &[x]).unwrap();
         graph.set_edge_form(factor, 0, form(linearisation)).unwrap();
         let mut engine = Engine::new(&graph, Options::default()).unwrap();
@@ -81,7 +83,7 @@ fn a_curved_range_is_nearer_the_grid() {
 /// Without a belief to regress over, the expansion at the message's own mean stands in.
 #[test]
 fn sigma_points_need_no_start_where_the_residual_is_linear() {
-    let prior = Prior::new(&Space::real(2), &[3.0, -1.0], Noise::isotropic(2, 2.0).unwrap());
+    let prior = Prior::new(&Space::real(2), &[3.0, -1.0], Noise::isotropic(2, 2.0).unwrap()).unwrap();
     let flat = [DynamicGaussian::flat(2)];
     let message =
         send(&Model(ResidualModel(prior)), 0, &flat, &flat, &form(Linearisation::SigmaPoints)).unwrap();

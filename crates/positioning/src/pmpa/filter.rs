@@ -9,7 +9,7 @@
 use std::sync::Arc;
 
 use sumprod_graph::schedule::Sliced;
-use sumprod_graph::{Factor, GraphError, Options, Purpose, Space, Stream, Window, WindowVariable};
+use sumprod_graph::{Factor, MessageError, Options, Purpose, Space, Stream, Window, WindowVariable};
 use sumprod_messages::{AnyForm, AnyMessage};
 use sumprod_models::library::{AnchorOffset, AnchorRange, ConstantVelocity};
 use sumprod_models::{Model, Motion, Noise, ProcessNoise, Real, ResidualModel, Transition};
@@ -118,7 +118,7 @@ impl<'a> Filter<'a> {
             let form = self.method.own_form();
             let fix = self.world.fixes[step - 1];
             for (chain, &state) in self.chains.iter().zip(&scan) {
-                self.window.factor(OWN, chain.fix(&fix, &[0.0; 2]), &[(state, form)])?;
+                self.window.factor(OWN, chain.fix(&fix, &[0.0; 2])?, &[(state, form)])?;
             }
         }
         if self.method.neighbours {
@@ -127,15 +127,15 @@ impl<'a> Filter<'a> {
         Ok(scan)
     }
 
-    fn hear(&mut self, step: usize, scan: &[WindowVariable]) -> Result<(), GraphError> {
+    fn hear(&mut self, step: usize, scan: &[WindowVariable]) -> Result<(), Failure> {
         let measurement = self.settings.neighbour_measurement;
         let form = self.method.neighbour_form(measurement);
         for hearing in &self.world.hearings[step - 1] {
             let node = self.world.nodes[hearing.node];
             for (chain, &state) in self.chains.iter().zip(scan) {
                 let factor = match hearing.measured {
-                    Measured::Relative(offset) => chain.fix(&offset, &node),
-                    Measured::Range(range) => chain.range(range, node, &self.range_noise),
+                    Measured::Relative(offset) => chain.fix(&offset, &node)?,
+                    Measured::Range(range) => chain.range(range, node, &self.range_noise)?,
                 };
                 let name = format!("{} {}", measurement.kind(), hearing.node + 1);
                 self.window.factor(name, factor, &[(state, form)])?;
@@ -224,7 +224,7 @@ impl<'a> Filter<'a> {
 
 impl Chain {
     /// A measured offset of the target from an anchor, along the chain's axes.
-    fn fix(&self, measured: &[f64; 2], anchor: &[f64; 2]) -> SharedFactor {
+    fn fix(&self, measured: &[f64; 2], anchor: &[f64; 2]) -> Result<SharedFactor, MessageError> {
         let along = |point: &[f64; 2]| self.axes.iter().map(|&axis| point[axis]).collect::<Vec<f64>>();
         let offset = AnchorOffset::new(
             &along(measured),
@@ -232,14 +232,14 @@ impl Chain {
             self.start.len(),
             &self.position,
             self.noise.clone(),
-        );
-        Arc::new(Model(ResidualModel(offset)))
+        )?;
+        Ok(Arc::new(Model(ResidualModel(offset))))
     }
 
-    fn range(&self, measured: f64, anchor: [f64; 2], noise: &Noise) -> SharedFactor {
+    fn range(&self, measured: f64, anchor: [f64; 2], noise: &Noise) -> Result<SharedFactor, MessageError> {
         let position = [self.position[0], self.position[self.position.len() - 1]];
-        let range = AnchorRange::new(measured, anchor, self.start.len(), position, noise.clone());
-        Arc::new(Model(ResidualModel(range)))
+        let range = AnchorRange::new(measured, anchor, self.start.len(), position, noise.clone())?;
+        Ok(Arc::new(Model(ResidualModel(range))))
     }
 }
 
