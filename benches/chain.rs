@@ -52,7 +52,8 @@ fn chain(steps: usize) -> Result<FactorGraph<Gaussian<4>, Shared>, Box<dyn std::
 
     let mut random = Xoshiro256PlusPlus::seed_from_u64(1);
     let mut normal = move || -> f64 { StandardNormal.sample(&mut random) };
-    let step: Shared = Arc::new(LinearPair::new(&-transition, &Matrix4::identity(), &Vector4::zeros(), &process)?);
+    let step: Shared =
+        Arc::new(LinearPair::new(&-transition, &Matrix4::identity(), &Vector4::zeros(), &process)?);
     let root = process.cholesky().ok_or("the process noise is singular")?.l();
     let mut graph = FactorGraph::new();
     let mut state = Vector4::new(normal(), normal(), 1.0 + 2.0 * normal(), 1.0 + 2.0 * normal());

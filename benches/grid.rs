@@ -24,7 +24,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         engine.run(&mut Flooding)?;
         let timing = Timing::of(7, || engine.run(&mut Flooding).map(|_| ()))?;
         let nanoseconds = timing.median() / 20.0 / messages as f64 * 1e9;
-        println!("grid {side} x {side}: {messages} messages, {nanoseconds:.1} ns a message (median of {timing})");
+        println!(
+            "grid {side} x {side}: {messages} messages, {nanoseconds:.1} ns a message (median of {timing})"
+        );
     }
     Ok(())
 }

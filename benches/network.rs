@@ -21,7 +21,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let ranges: usize = draw.slices.iter().map(|slice| slice.ranges.len()).sum();
         let mut filter = NetworkFilter::new(&world, &draw, Plan::default(), Options::default())?;
         let mut slices = draw.slices.iter();
-        let timing = Timing::of(SLICES as usize, || slices.next().map_or(Ok(()), |slice| filter.step(slice)))?;
+        let timing =
+            Timing::of(SLICES as usize, || slices.next().map_or(Ok(()), |slice| filter.step(slice)))?;
         println!(
             "network of {agents}: {:.4} s a slice, {:.2} us an agent, {} ranges a slice (median of {timing})",
             timing.median(),

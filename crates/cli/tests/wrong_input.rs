@@ -86,3 +86,37 @@ fn the_list_is_printed() {
     assert!(output.status.success());
     assert!(String::from_utf8_lossy(&output.stdout).starts_with("scenario"));
 }
+
+#[test]
+fn numbers_that_cannot_be_are_refused_with_their_key() {
+    let covariance = "start.pose_covariance=[[1.0,2.0,0.0],[2.0,1.0,0.0],[0.0,0.0,1.0]]";
+    let crooked = "start.pose_covariance=[[1.0,0.5,0.0],[0.4,1.0,0.0],[0.0,0.0,1.0]]";
+    for (scenario, set, words) in [
+        ("pmpa-cdf", "world.stepz=3", "did you mean `world.steps`"),
+        ("pmpa-cdf", "world.process_variance=-1", "a variance must be positive and finite"),
+        ("pmpa-cdf", "method.pf.particles=0", "at least 1 particle"),
+        ("coop-c3", "world.range_variance=nan", "is NaN"),
+        ("coop-c3", "method.gaussian-bp.form.range=mixtur", "choose one of gaussian, particles"),
+        (
+            "plaza",
+            covariance,
+            "`start.pose_covariance` cannot be a covariance: the matrix is not positive definite",
+        ),
+        ("plaza", crooked, "a covariance must be symmetric"),
+    ] {
+        let message = refused(&["run", scenario, "--set", set]);
+        assert!(message.contains(words), "{message}");
+        let key = set.split('=').next().expect("a key");
+        assert!(message.contains(key), "{message}");
+        assert_eq!(message.lines().count(), 1, "{message}");
+    }
+}
+
+#[test]
+fn a_network_that_nothing_fixes_says_what_would() {
+    for verb in ["run", "check"] {
+        let message = refused(&[verb, "coop-c3", "--set", "world.anchors=[]", "--set", "world.prior=false"]);
+        assert!(message.contains("nothing constrains the translation"), "{message}");
+        assert!(message.contains("add anchors"), "{message}");
+    }
+}

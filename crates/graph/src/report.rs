@@ -42,7 +42,10 @@ impl fmt::Display for Report {
             Stop::Converged => write!(formatter, "converged after {iterations}, last change {change:.2e}"),
             Stop::Finished => write!(formatter, "finished after {iterations}"),
             Stop::IterationLimit => {
-                write!(formatter, "stopped at the cap of {iterations} before convergence, last change {change:.2e}")
+                write!(
+                    formatter,
+                    "stopped at the cap of {iterations} before convergence, last change {change:.2e}"
+                )
             }
         }
     }

@@ -175,7 +175,8 @@ impl DynamicGaussian {
         let mut sum = 0.0;
         for row in 0..d {
             let below = self.numbers[next..].iter().zip(&x[..row]);
-            let half = 0.5 * self.numbers[next + row] * x[row] + below.map(|(entry, x)| entry * x).sum::<f64>();
+            let half =
+                0.5 * self.numbers[next + row] * x[row] + below.map(|(entry, x)| entry * x).sum::<f64>();
             sum += x[row] * (self.numbers[row] - half);
             next += row + 1;
         }

@@ -101,10 +101,9 @@ impl Scenario for PMpa {
             }
             methods.push(done);
         }
-        let anchors = (1..).zip(&world.nodes).map(|(number, place)| Anchor {
-            name: format!("node {number}"),
-            position: place.to_vec(),
-        });
+        let anchors = (1..)
+            .zip(&world.nodes)
+            .map(|(number, place)| Anchor { name: format!("node {number}"), position: place.to_vec() });
         Ok(RunResult {
             run,
             nodes: vec!["target".to_owned()],
@@ -115,12 +114,7 @@ impl Scenario for PMpa {
         })
     }
 
-    fn check(
-        &self,
-        (): &(),
-        seed: u64,
-        methods: &[String],
-    ) -> Result<Vec<GraphSummary>, PositioningError> {
+    fn check(&self, (): &(), seed: u64, methods: &[String]) -> Result<Vec<GraphSummary>, PositioningError> {
         let world = World::simulate(&self.world, seed, 0);
         let most = world.hearings.iter().map(Vec::len).max();
         let step = world.hearings.iter().position(|heard| Some(heard.len()) == most).map_or(1, |k| k + 1);
@@ -147,7 +141,11 @@ impl PMpa {
             loops: graph.loop_count(),
             forms: forms
                 .into_iter()
-                .map(|(kind, form, edges)| FormUse { kind: kind.to_owned(), form: FormSpec(form).to_string(), edges })
+                .map(|(kind, form, edges)| FormUse {
+                    kind: kind.to_owned(),
+                    form: FormSpec(form).to_string(),
+                    edges,
+                })
                 .collect(),
             unconstrained: Vec::new(),
         })

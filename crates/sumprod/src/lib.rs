@@ -38,9 +38,9 @@ pub mod prelude {
         Flooding, ForwardBackward, Residual as ResidualSchedule, Sequential, Sliced,
     };
     pub use sumprod_graph::{
-        Coordinate, EdgeId, Engine, Factor, FactorGraph, FactorId, GraphError, Incoming, Message, MessageError,
-        Messages, Options, Outgoing, Pass, Port, Purpose, Quality, Report, Schedule, Space, Stop, Stream,
-        Topology, VariableId, Window, WindowVariable,
+        Coordinate, EdgeId, Engine, Factor, FactorGraph, FactorId, GraphError, Incoming, Message,
+        MessageError, Messages, Options, Outgoing, Pass, Port, Purpose, Quality, Report, Schedule, Space,
+        Stop, Stream, Topology, VariableId, Window, WindowVariable,
     };
     pub use sumprod_messages::{
         AnyForm, AnyMessage, DynamicGaussian, Gaussian, GaussianForm, Linearisation, Moments, Particles,

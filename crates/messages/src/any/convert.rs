@@ -142,3 +142,36 @@ pub(super) fn log_value(gaussian: &DynamicGaussian, coordinates: &[Coordinate], 
     }
     gaussian.log_value(&near)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn sample(log_weights: Vec<f64>) -> Particles {
+        let points = (0..100).flat_map(|k| [0.1 * f64::from(k), f64::from(k * 37 % 100)]).collect();
+        Particles::new(&Space::real(2), points, log_weights).unwrap()
+    }
+
+    #[test]
+    fn a_collapsed_cloud_is_no_more_certain_than_its_points_are_close() {
+        let mut log_weights = vec![-1e3; 100];
+        log_weights[40] = 0.0;
+        let (gaussian, loss) = particles_to_gaussian(&sample(log_weights)).unwrap();
+        let moments = gaussian.moments().unwrap();
+        // 100 even points at distance 0.1 have the variance (100² - 1) / 12 · 0.01, a hundredth squared of which is left.
+        assert!((moments.covariance_at(0, 0) / (9999.0 / 12.0 * 1e-6) - 1.0).abs() < 1e-6);
+        assert!((moments.mean[0] - 4.0).abs() < 1e-6 && loss <= 100.0_f64.ln());
+    }
+
+    #[test]
+    fn a_cloud_of_two_has_the_unbiased_variance_and_a_full_one_its_own() {
+        let mut log_weights = vec![f64::NEG_INFINITY; 100];
+        (log_weights[10], log_weights[30]) = (0.0, 0.0);
+        let moments = particles_to_gaussian(&sample(log_weights)).unwrap().0.moments().unwrap();
+        // Two points 2 apart: variance 1 about their mean, 2 unbiased.
+        assert!((moments.covariance_at(0, 0) - 2.0).abs() < 1e-3, "{}", moments.covariance_at(0, 0));
+        let full = sample(vec![0.0; 100]);
+        let moments = particles_to_gaussian(&full).unwrap().0.moments().unwrap();
+        assert!((moments.covariance_at(0, 0) / full.moments().covariance_at(0, 0) - 1.0).abs() < 1e-8);
+    }
+}

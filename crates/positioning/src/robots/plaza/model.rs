@@ -25,6 +25,9 @@ pub struct Start {
     pub position_variance: f64,
     /// Of the heading (rad²).
     pub heading_variance: f64,
+    /// Covariance of the pose [x, y, heading] (m, m, rad), where it is more than these variances.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub pose_covariance: Option<[[f64; 3]; 3]>,
     /// Of the gyro bias (rad²/s²).
     pub gyro_bias_variance: f64,
     /// Of the scale error of the ranges.
@@ -283,6 +286,9 @@ fn prior(pose: [f64; 3], start: &Start, calibrated: bool) -> Moments {
     moments.mean[..3].copy_from_slice(&pose);
     for (k, variance) in (0..d).zip(variances) {
         moments.covariance[k * d + k] = variance;
+    }
+    for (row, entries) in start.pose_covariance.iter().flatten().enumerate() {
+        moments.covariance[row * d..][..3].copy_from_slice(entries);
     }
     moments
 }

@@ -11,7 +11,7 @@ use super::recording::Recording;
 use crate::PositioningError;
 use crate::results::{Anchor, MethodRun, RunResult, StateLayout};
 use crate::robots::chain::{self, Chain, Inference, Plan};
-use crate::robots::numbers::{not_negative, positive};
+use crate::robots::numbers::{not_negative, positive, positive_definite};
 use crate::robots::{LONGEST_GAP_S, pose_of};
 use crate::scenario::{GraphSummary, Methods, RunRequest, Scenario};
 
@@ -141,12 +141,16 @@ impl Scenario for Plaza {
         let Start {
             position_variance,
             heading_variance,
+            pose_covariance,
             gyro_bias_variance,
             range_scale_variance,
             range_offset_variance,
         } = self.start;
         positive("start.position_variance", position_variance)?;
         positive("start.heading_variance", heading_variance)?;
+        if let Some(covariance) = pose_covariance {
+            positive_definite("start.pose_covariance", &covariance)?;
+        }
         positive("start.gyro_bias_variance", gyro_bias_variance)?;
         positive("start.range_scale_variance", range_scale_variance)?;
         positive("start.range_offset_variance", range_offset_variance)?;

@@ -20,6 +20,7 @@ const DRIFT: Drift = Drift {
 const START: Start = Start {
     position_variance: 0.01,
     heading_variance: 0.0025,
+    pose_covariance: None,
     gyro_bias_variance: 1e-4,
     range_scale_variance: 0.01,
     range_offset_variance: 1.0,
