@@ -1,5 +1,7 @@
 //! The law of reselection, for every resampler.
 
+#![allow(clippy::unwrap_used, reason = "helpers of tests fail the test")]
+
 use sumprod_graph::{Purpose, Space, Stream};
 use sumprod_messages::Particles;
 use sumprod_optimizers::{Reselection, Scheme};
