@@ -13,9 +13,9 @@ pub fn positive(key: &str, value: f64) -> Result<(), PositioningError> {
 
 /// A covariance: symmetric and positive definite.
 pub fn positive_definite<const D: usize>(key: &str, matrix: &[[f64; D]; D]) -> Result<(), PositioningError> {
-    for row in 0..D {
-        for column in 0..row {
-            let (below, above) = (matrix[row][column], matrix[column][row]);
+    for (row, entries) in matrix.iter().enumerate() {
+        for (column, &below) in entries.iter().enumerate().take(row) {
+            let above = matrix[column][row];
             if below != above {
                 let problem = format!(
                     "has {below} in row {row}, column {column} but {above} in row {column}, column {row}; a \
