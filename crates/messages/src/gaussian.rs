@@ -346,7 +346,8 @@ impl<const D: usize> Message for Gaussian<D> {
         true
     }
 
-    /// As [`information_change`], on columns that the compiler unrolls.
+    /// The largest change of an entry of Λ relative to the roots of its two diagonal entries, or of η relative to
+    /// the root of its own.
     #[inline]
     fn change(&self, previous: &Self) -> f64 {
         let scale: [f64; D] = std::array::from_fn(|k| {
