@@ -5,6 +5,7 @@
 //! | [`Gaussian`] | information form, dimension fixed at compile time | addition | subtraction |
 //! | [`DynamicGaussian`] | the same, dimension chosen at run time; no heap up to five | addition | subtraction |
 //! | [`Particles`] | points with log weights | on one support, else by kernels | on one support |
+//! | [`Mixture`] | weighted Gaussians, one covariance each or one for all | by a [`ProductMethod`] | no |
 //! | [`AnyMessage`] | any of these, by the form of each edge | in the form of the belief | where both can |
 //!
 //! Adding a family to the mix touches its own file and [`AnyMessage`] alone.
@@ -14,6 +15,7 @@ mod dense;
 mod dynamic;
 mod gaussian;
 mod kernel;
+mod mixture;
 mod moments;
 mod particles;
 
@@ -21,5 +23,10 @@ pub use any::{AnyForm, AnyMessage, AnyValue, ParticleFamily};
 pub use dense::Cholesky;
 pub use dynamic::DynamicGaussian;
 pub use gaussian::{Gaussian, GaussianFamily, GaussianForm, Linearisation};
+pub use mixture::{
+    AnnealedGibbs, Auto, Bandwidth, Evaluator, Exact, GaussianImportance, Gibbs, GibbsStart, Literal,
+    Mixture, MixtureImportance, Mode, MultiscaleGibbs, Pairwise, Pointwise, Product, ProductChoice,
+    ProductMethod, ProductQuality, modes,
+};
 pub use moments::{Moments, gaussian_divergence};
 pub use particles::{Particles, ParticlesForm, Proposal, Role};

@@ -1,0 +1,70 @@
+//! The product as the paper of P-MPA prints it, kept to be compared with.
+//!
+//! Fan, Wang, Zhou (2018), "Cooperative positioning based on message passing", section 2.3.2: every kernel has the
+//! variance N^(1/6) (in squared units of the state, whatever the kernels' own covariances), chains start with
+//! independent labels, and the new label is weighted by ω N(x; μ̄, σ̄) N(x; μ_j, σ_j) / N(x; μ̄ⁱ, σ̄ⁱ) with (μ̄, σ̄) the
+//! product of all chosen kernels, so that the kernel to be replaced is counted as well.
+
+use super::super::Mixture;
+use super::chains::Chains;
+use super::gibbs::{Gibbs, warn_of_few_sweeps, warn_of_stuck_labels};
+use super::{GibbsStart, Product, ProductMethod, check};
+use sumprod_graph::{MessageError, Stream};
+
+/// The printed form of the product. It is no consistent estimate of anything: the kernels grow with N.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Literal {
+    /// Sweeps a chain; the paper's κ, which it does not state.
+    pub sweeps: usize,
+    /// Where chains start; the paper's start is independent.
+    pub start: GibbsStart,
+    /// Whether the conditional counts the present component of the label's own input, as printed; otherwise it is
+    /// the leave-one-out conditional.
+    pub counted_twice: bool,
+}
+
+impl Default for Literal {
+    fn default() -> Self {
+        Self { sweeps: 3, start: GibbsStart::Independent, counted_twice: true }
+    }
+}
+
+impl ProductMethod for Literal {
+    fn name(&self) -> &'static str {
+        "literal"
+    }
+
+    fn product(
+        &self,
+        inputs: &[&Mixture],
+        samples: usize,
+        stream: &mut Stream,
+    ) -> Result<Product, MessageError> {
+        let first = check(inputs, samples)?;
+        let d = first.dimension();
+        let printed: Result<Vec<Mixture>, MessageError> = inputs
+            .iter()
+            .map(|input| {
+                let variance = (input.len() as f64).powf(1.0 / 6.0);
+                let kernel =
+                    (0..d * d).map(|entry| if entry % (d + 1) == 0 { variance } else { 0.0 }).collect();
+                let weights = input.log_weights().to_vec();
+                Mixture::with_shared_covariance(&input.space(), weights, input.means().to_vec(), kernel)
+            })
+            .collect();
+        let printed = printed?;
+        if let [only] = printed.as_slice() {
+            return super::Exact::default().product(&[only], samples, stream);
+        }
+        let mut random = stream.fast();
+        let mut state = Chains::new(printed.iter());
+        let sampler = Gibbs { sweeps: self.sweeps, start: self.start };
+        let (labels, change) = sampler.run(&mut state, samples, self.counted_twice, &mut random)?;
+        let mut product = state.finish(self.name(), &labels, change, &mut random)?;
+        // The quality is measured against the product of the printed kernels; no normaliser of the inputs' own.
+        product.log_normaliser = None;
+        warn_of_few_sweeps(self.sweeps, &mut product);
+        warn_of_stuck_labels(&mut product);
+        Ok(product)
+    }
+}
