@@ -72,6 +72,18 @@ pub struct RunResult {
     pub bound: Vec<BoundStep>,
     /// The methods, in the order in which they were asked for.
     pub methods: Vec<MethodRun>,
+    /// Files of the system's own, written to the output folder beside the estimates; those of run 0 alone.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub files: Vec<OutputFile>,
+}
+
+/// A file that a system writes besides the estimates: samples, marginals.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct OutputFile {
+    /// Its name within the output folder.
+    pub name: String,
+    /// Its text.
+    pub contents: String,
 }
 
 /// A place known beforehand.

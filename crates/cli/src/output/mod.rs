@@ -79,13 +79,16 @@ fn unwritable(path: &Path, error: &std::io::Error) -> Failure {
     Failure::input(format!("--out {}: cannot write there ({reason}); choose another folder", path.display()))
 }
 
-/// Writes the metrics, and the estimates and plots as `wanted` says.
+/// Writes the metrics, the system's own files, and the estimates and plots as `wanted` says.
 ///
 /// # Errors
 /// A file that cannot be written, or a plot that cannot be drawn.
 pub fn write(folder: &Folder, wanted: &Output, report: &Report, runs: &[RunResult]) -> Result<(), Failure> {
     if wanted.estimates {
         folder.write("estimates.csv", &estimates::csv(runs))?;
+    }
+    for file in runs.first().iter().flat_map(|run| &run.files) {
+        folder.write(&file.name, &file.contents)?;
     }
     if wanted.plots {
         for (name, svg) in plots::draw(report, runs, wanted)? {

@@ -60,8 +60,10 @@ fn a_run_writes_all_its_files_and_the_table_judges_the_methods() {
         "rmse.svg",
         "runs.jsonl",
         "trajectories.svg",
+        "walk.txt",
     ];
     assert_eq!(scratch.files(), expected);
+    assert_eq!(fs::read_to_string(scratch.0.join("walk.txt")).unwrap(), "run 0\n");
     let json: serde_json::Value =
         serde_json::from_str(&fs::read_to_string(scratch.0.join("metrics.json")).unwrap()).unwrap();
     assert_eq!(json["methods"]["kf"]["conversion_loss"]["range"], 0.25);
@@ -119,5 +121,5 @@ fn data_for_a_scenario_that_reads_none_and_unknown_methods_are_refused() {
 fn outputs_can_be_turned_off() {
     let scratch = Scratch::new("off");
     run(&arguments(&["runs=2", "output.plots=false", "output.estimates=false"], Some(&scratch))).unwrap();
-    assert_eq!(scratch.files(), ["metrics.json", "runs.jsonl"]);
+    assert_eq!(scratch.files(), ["metrics.json", "runs.jsonl", "walk.txt"]);
 }

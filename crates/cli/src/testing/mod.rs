@@ -4,7 +4,7 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 use sumprod_positioning::PositioningError;
-use sumprod_positioning::results::{Anchor, BoundStep, MethodRun, RunResult, StateLayout};
+use sumprod_positioning::results::{Anchor, BoundStep, MethodRun, OutputFile, RunResult, StateLayout};
 use sumprod_positioning::scenario::{FormUse, GraphSummary, Methods, RunRequest, Scenario};
 
 #[derive(Debug, Serialize, Deserialize)]
@@ -130,7 +130,8 @@ impl Scenario for Walk {
         }
         let anchors = vec![Anchor { name: "a1".into(), position: vec![5.0, 15.0] }];
         let nodes = vec!["walker 1".into(), "walker 2".into()];
-        Ok(RunResult { nodes, anchors, bound, methods, ..RunResult::default() })
+        let files = vec![OutputFile { name: "walk.txt".into(), contents: format!("run {}\n", request.run) }];
+        Ok(RunResult { nodes, anchors, bound, methods, files, ..RunResult::default() })
     }
 
     fn check(&self, (): &(), _: u64, methods: &[String]) -> Result<Vec<GraphSummary>, PositioningError> {
