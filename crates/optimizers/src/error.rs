@@ -3,7 +3,7 @@
 use sumprod_graph::MessageError;
 use thiserror::Error;
 
-/// Why particles cannot be reselected.
+/// Why particles cannot be reselected or moved.
 #[derive(Clone, Debug, PartialEq, Error)]
 #[non_exhaustive]
 pub enum OptimizerError {
@@ -35,6 +35,44 @@ pub enum OptimizerError {
     Share {
         /// Its value.
         value: f64,
+    },
+    /// Points and values that do not match.
+    #[error("{points} numbers are not {values} points of {dimension} coordinates")]
+    Rows {
+        /// Numbers given.
+        points: usize,
+        /// Values asked for.
+        values: usize,
+        /// Coordinates of a point.
+        dimension: usize,
+    },
+    /// A log density that is NaN or +inf.
+    #[error("the {what} at {point:?} is {value}; it must be finite, or -inf where the density is zero")]
+    Density {
+        /// Which density.
+        what: &'static str,
+        /// Its value.
+        value: f64,
+        /// The point.
+        point: Vec<f64>,
+    },
+    /// A likelihood that is zero at every point.
+    #[error(
+        "none of the {count} particles explains the measurement: the likelihood is 0 at all of them; use more particles, a wider noise, or a recovery policy"
+    )]
+    Unexplained {
+        /// Number of points.
+        count: usize,
+    },
+    /// A parameter of a move outside its range.
+    #[error("{what} is {value}; {must}")]
+    Parameter {
+        /// Which parameter.
+        what: &'static str,
+        /// Its value.
+        value: f64,
+        /// What it must be.
+        must: &'static str,
     },
     /// The chosen particles are no message.
     #[error(transparent)]

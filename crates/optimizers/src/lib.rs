@@ -1,4 +1,4 @@
-//! Reselecting particles: which of a weighted sample live on, and when to ask.
+//! Reselecting and moving particles: which of a weighted sample live on, when to ask, and where they go.
 //!
 //! | module | holds |
 //! |---|---|
@@ -6,9 +6,13 @@
 //! | [`multinomial`], [`stratified`], [`systematic`], [`residual`], [`ssp`] | one resampler each |
 //! | [`scheme`] | a resampler chosen by name |
 //! | [`trigger`] | the effective sample size below which to reselect |
+//! | [`target`] | a prior known by its particles, times a likelihood whose evaluations are counted |
+//! | [`moves`] | the trait that takes particles from the prior to the posterior, and its law |
+//! | [`weigh`] | the bootstrap: weighs, moves nothing |
 //! | [`error`] | the crate's error |
 
 pub mod error;
+pub mod moves;
 pub mod multinomial;
 pub mod reselection;
 pub mod residual;
@@ -16,9 +20,12 @@ pub mod scheme;
 pub mod ssp;
 pub mod stratified;
 pub mod systematic;
+pub mod target;
 pub mod trigger;
+pub mod weigh;
 
 pub use error::OptimizerError;
+pub use moves::{Move, Moved, Validity};
 pub use multinomial::Multinomial;
 pub use reselection::Reselection;
 pub use residual::Residual;
@@ -26,4 +33,6 @@ pub use scheme::Scheme;
 pub use ssp::Ssp;
 pub use stratified::Stratified;
 pub use systematic::Systematic;
+pub use target::{LogDensity, Target};
 pub use trigger::{Trigger, effective_sample_size};
+pub use weigh::Weigh;
