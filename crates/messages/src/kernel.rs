@@ -58,7 +58,7 @@ pub(crate) fn log_sum(terms: impl Iterator<Item = f64> + Clone) -> f64 {
 }
 
 /// Keeps the covariance of a collapsed sample invertible: a relative floor on its diagonal, absolute at zero.
-pub(crate) fn floor_diagonal(covariance: &mut [f64], dimension: usize) {
+pub fn floor_diagonal(covariance: &mut [f64], dimension: usize) {
     for k in 0..dimension {
         let entry = &mut covariance[k * dimension + k];
         *entry += 1e-9 * *entry + 1e-12;

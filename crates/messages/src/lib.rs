@@ -23,6 +23,7 @@ pub use any::{AnyForm, AnyMessage, AnyValue, ParticleFamily};
 pub use dense::Cholesky;
 pub use dynamic::DynamicGaussian;
 pub use gaussian::{Gaussian, GaussianFamily, GaussianForm, Linearisation};
+pub use kernel::floor_diagonal;
 pub use mixture::{
     AnnealedGibbs, Auto, Bandwidth, Evaluator, Exact, GaussianImportance, Gibbs, GibbsStart, Literal,
     Mixture, MixtureImportance, Mode, MultiscaleGibbs, Pairwise, Pointwise, Product, ProductChoice,

@@ -9,11 +9,20 @@
 //! | [`target`] | a prior known by its particles, times a likelihood whose evaluations are counted |
 //! | [`moves`] | the trait that takes particles from the prior to the posterior, and its law |
 //! | [`weigh`] | the bootstrap: weighs, moves nothing |
+//! | [`regularised`] | draws from a kernel around each particle, then weighs |
+//! | [`markov`] | Metropolis-Hastings chains: random walk, independence |
+//! | [`quantum`] | the quantum genetic algorithm: literal, importance-corrected, Metropolis-Hastings |
+//! | [`frame`] | standard coordinates of a cloud, and the kernel that smooths it |
 //! | [`error`] | the crate's error |
 
+mod chains;
 pub mod error;
+pub mod frame;
+pub mod markov;
 pub mod moves;
 pub mod multinomial;
+pub mod quantum;
+pub mod regularised;
 pub mod reselection;
 pub mod residual;
 pub mod scheme;
@@ -25,8 +34,12 @@ pub mod trigger;
 pub mod weigh;
 
 pub use error::OptimizerError;
+pub use frame::{CloudKernel, Frame};
+pub use markov::{Independence, RandomWalk};
 pub use moves::{Move, Moved, Validity};
 pub use multinomial::Multinomial;
+pub use quantum::{Coding, Decoding, QuantumImportance, QuantumLiteral, QuantumMetropolis, Rotation};
+pub use regularised::Regularised;
 pub use reselection::Reselection;
 pub use residual::Residual;
 pub use scheme::Scheme;

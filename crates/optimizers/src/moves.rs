@@ -14,6 +14,11 @@
 //! | | draws | likelihoods a particle | valid |
 //! |---|---|---|---|
 //! | [`Weigh`](crate::Weigh) | nothing: the prior's points are weighed | 1 | yes |
+//! | [`Regularised`](crate::Regularised) | from the kernel around each particle | 1 | smoothed |
+//! | [`RandomWalk`](crate::RandomWalk), [`Independence`](crate::Independence) | Markov chain steps after reselection | 1 + steps | where the prior has a density; else smoothed |
+//! | [`QuantumLiteral`](crate::QuantumLiteral) | the best of several strings of bits | 1 + generations | no |
+//! | [`QuantumImportance`](crate::QuantumImportance) | strings of bits, weighed by their probability | generations | smoothed |
+//! | [`QuantumMetropolis`](crate::QuantumMetropolis) | Markov chain steps that propose strings of bits | 1 + generations | as the Markov chains |
 
 use sumprod_graph::{FastStream, Stream};
 use sumprod_messages::Particles;
