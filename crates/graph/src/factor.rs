@@ -1,6 +1,6 @@
 //! A factor's rules for one family of messages.
 
-use crate::{Message, MessageError, Stream};
+use crate::{Message, MessageError, MessageStreams, Stream};
 
 /// The place of a variable in a factor's argument list, from zero.
 pub type Port = usize;
@@ -84,6 +84,26 @@ pub trait Factor<M: Message>: Send + Sync {
         Ok(())
     }
 
+    /// The messages to all ports, into `out` port by port, all from the same inputs.
+    ///
+    /// One call a factor: where the factor is behind a pointer this is what a pass over a large graph dispatches.
+    ///
+    /// # Errors
+    ///
+    /// The first port whose message failed, and why; the messages after it are arbitrary.
+    fn all_messages_into(
+        &self,
+        incoming: &Incoming<'_, M>,
+        forms: &[M::Form],
+        streams: MessageStreams,
+        out: &mut [M],
+    ) -> Result<(), (Port, MessageError)> {
+        for (to, (out, form)) in out.iter_mut().zip(forms).enumerate() {
+            self.message_into(to, incoming, form, &mut streams.of(to), out).map_err(|error| (to, error))?;
+        }
+        Ok(())
+    }
+
     /// Whether the message to a single port depends on nothing but this factor, so that once is enough.
     fn is_constant(&self) -> bool {
         false
@@ -114,6 +134,15 @@ macro_rules! forward {
                 out: &mut M,
             ) -> Result<(), MessageError> {
                 (**self).message_into(to, incoming, form, stream, out)
+            }
+            fn all_messages_into(
+                &self,
+                incoming: &Incoming<'_, M>,
+                forms: &[M::Form],
+                streams: MessageStreams,
+                out: &mut [M],
+            ) -> Result<(), (Port, MessageError)> {
+                (**self).all_messages_into(incoming, forms, streams, out)
             }
             fn is_constant(&self) -> bool {
                 (**self).is_constant()

@@ -36,6 +36,6 @@ pub use message::{Message, Messages, Quality};
 pub use report::{Report, Stop};
 pub use schedule::{Pass, Schedule};
 pub use space::{Coordinate, Space, wrap_angle};
-pub use stream::{FastStream, Purpose, Stream};
+pub use stream::{FastStream, MessageStreams, Purpose, Stream};
 pub use topology::{Node, Topology};
 pub use window::{Window, WindowVariable};

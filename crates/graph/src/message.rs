@@ -59,12 +59,16 @@ impl<'a, M> Messages<'a, M> {
         if let Some(prior) = prior {
             visit(prior);
         }
-        let (before, after) = match edges.split_at_checked(skip) {
-            Some((before, rest)) => (before, rest.get(1..).unwrap_or_default()),
-            None => (edges, &edges[..0]),
-        };
-        for &edge in before.iter().chain(after) {
-            visit(&messages[edge as usize]);
+        if skip == usize::MAX {
+            for &edge in edges {
+                visit(&messages[edge as usize]);
+            }
+            return;
+        }
+        for (position, &edge) in edges.iter().enumerate() {
+            if position != skip {
+                visit(&messages[edge as usize]);
+            }
         }
     }
 
@@ -127,7 +131,8 @@ pub trait Message: Clone + Send + Sync + 'static {
         Ok(())
     }
 
-    /// [`Message::product_into`] that also returns how far the belief moved; `previous` is storage.
+    /// [`Message::product_into`], raising `largest` to how far the belief moved if that is more, and to NaN if it is
+    /// not a number; `previous` is storage. A family may answer without measuring a move that is plainly smaller.
     ///
     /// # Errors
     ///
@@ -138,10 +143,15 @@ pub trait Message: Clone + Send + Sync + 'static {
         stream: &mut Stream,
         belief: &mut Self,
         previous: &mut Self,
-    ) -> Result<f64, MessageError> {
+        largest: &mut f64,
+    ) -> Result<(), MessageError> {
         previous.clone_from(belief);
         Self::product_into(incoming, form, stream, belief)?;
-        Ok(belief.change(previous))
+        let change = belief.change(previous);
+        if change > *largest || change.is_nan() {
+            *largest = change;
+        }
+        Ok(())
     }
 
     /// This belief with one incoming message taken out, where the family can divide.

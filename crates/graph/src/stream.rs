@@ -51,6 +51,7 @@ pub struct Stream {
 
 impl Stream {
     /// The stream of `entity` (an edge's or variable's number) for `purpose` in `iteration` under `seed`.
+    #[inline]
     pub fn new(seed: u64, iteration: u64, purpose: Purpose, entity: u64) -> Self {
         Self { key: [seed, iteration, purpose.code(), entity], generator: None }
     }
@@ -88,6 +89,27 @@ impl Stream {
     fn next(&mut self) -> u64 {
         use rand::Rng;
         self.generator().next_u64()
+    }
+}
+
+/// The streams of one factor's messages in one iteration, made when asked for.
+#[derive(Clone, Copy, Debug)]
+pub struct MessageStreams {
+    seed: u64,
+    iteration: u64,
+    first_edge: u64,
+}
+
+impl MessageStreams {
+    /// The streams of a factor whose edges are numbered from `first_edge`.
+    pub fn new(seed: u64, iteration: u64, first_edge: u64) -> Self {
+        Self { seed, iteration, first_edge }
+    }
+
+    /// The stream of the message to a port.
+    #[inline]
+    pub fn of(self, port: usize) -> Stream {
+        Stream::new(self.seed, self.iteration, Purpose::Message, self.first_edge + port as u64)
     }
 }
 

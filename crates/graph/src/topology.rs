@@ -2,6 +2,7 @@
 
 use crate::graph::{EdgeId, VariableId};
 use crate::{Factor, FactorGraph, FactorId, Message};
+use std::ops::Range;
 
 /// A node of the compiled graph.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -115,6 +116,27 @@ impl Topology {
 
     pub(crate) fn raw_variables_of_factor(&self, factor: usize) -> &[u32] {
         &self.edge_variable[self.factor_edges[factor] as usize..self.factor_edges[factor + 1] as usize]
+    }
+
+    /// The variables of consecutive factors, factor by factor.
+    #[inline]
+    pub(crate) fn raw_variables_of_factors(&self, factors: Range<usize>) -> impl Iterator<Item = &[u32]> {
+        let bounds = &self.factor_edges[factors.start..=factors.end];
+        let mut rest = &self.edge_variable[bounds[0] as usize..];
+        bounds.windows(2).map(move |bounds| {
+            let (own, others) = rest.split_at((bounds[1] - bounds[0]) as usize);
+            rest = others;
+            own
+        })
+    }
+
+    pub(crate) fn raw_variables_of_edges(&self, edges: Range<usize>) -> &[u32] {
+        &self.edge_variable[edges]
+    }
+
+    /// The edges of consecutive factors.
+    pub(crate) fn edges_of_factors(&self, factors: Range<usize>) -> Range<usize> {
+        self.first_edge(factors.start)..self.first_edge(factors.end)
     }
 
     pub(crate) fn first_edge(&self, factor: usize) -> usize {

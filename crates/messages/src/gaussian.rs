@@ -159,6 +159,39 @@ impl<const D: usize> Gaussian<D> {
         Self { information: self.information + other.information, vector: self.vector + other.vector }
     }
 
+    /// Whether [`Message::change`] from `previous` may be more than `limit`, by its terms multiplied out: neither a
+    /// division nor a root, nor a branch. A NaN may.
+    #[inline]
+    fn may_exceed(&self, previous: &Self, limit: f64) -> bool {
+        // A little less, so that rounding lets no change through: the largest does not depend on the order of the rest.
+        let square = limit * limit * (1.0 - 1e-12);
+        let own: [f64; D] = std::array::from_fn(|row| self.information[(row, row)].abs());
+        // By row, so that rows share a vector register. A minimum drops a NaN, a sum keeps it.
+        let (mut least, mut sum) = ([f64::INFINITY; D], [0.0; D]);
+        let mut see = |scale: f64, moved: [f64; D]| {
+            for row in 0..D {
+                let slack = square * (own[row] * scale) - moved[row] * moved[row];
+                least[row] = if slack < least[row] { slack } else { least[row] };
+                sum[row] += slack;
+            }
+        };
+        see(1.0, std::array::from_fn(|row| self.vector[row] - previous.vector[row]));
+        for (column, &scale) in own.iter().enumerate() {
+            let entry = (self.information.column(column), previous.information.column(column));
+            see(scale, std::array::from_fn(|row| entry.0[row] - entry.1[row]));
+        }
+        (0..D).any(|row| least[row] < 0.0 || sum[row].is_nan())
+    }
+
+    /// Raises `largest` to the change from `previous`.
+    #[cold]
+    fn raise(&self, previous: &Self, largest: &mut f64) {
+        let change = self.change(previous);
+        if change > *largest || change.is_nan() {
+            *largest = change;
+        }
+    }
+
     #[inline]
     fn add(&mut self, other: &Self) {
         self.information += other.information;
@@ -323,12 +356,15 @@ impl<const D: usize> Message for Gaussian<D> {
         _stream: &mut Stream,
         belief: &mut Self,
         _previous: &mut Self,
-    ) -> Result<f64, MessageError> {
+        largest: &mut f64,
+    ) -> Result<(), MessageError> {
         let mut product = Self::default();
         incoming.for_each(|message| product.add(message));
-        let change = product.change(belief);
+        if product.may_exceed(belief, *largest) {
+            product.raise(belief, largest);
+        }
         *belief = product;
-        Ok(change)
+        Ok(())
     }
 
     #[inline]

@@ -4,24 +4,48 @@
 //! replace the old in place. Factors are cut into runs of consecutive edges that threads take whole; every
 //! message is computed alone, so the cut does not show in the answer.
 //!
+//! On one thread, and where messages can be divided out of beliefs, a variable's belief is updated as soon as its last
+//! factor has sent: nobody reads the old one any more, and the messages are still in the cache. Otherwise all factors
+//! send before the first belief is updated.
+//!
 //! What the pass reports as change is the beliefs': one comparison per variable instead of one per message, and
 //! at the end of a pass every message has met its belief.
 
 use super::pass::{damp, extrinsic, product_error, replace_guess, rule_error};
 use super::{Engine, Options, PARALLEL_EDGES, Scratch, State};
 use crate::{
-    Factor, FactorGraph, FactorId, GraphError, Incoming, Message, MessageError, Messages, Outgoing, Purpose,
-    Stream, Topology,
+    Factor, FactorGraph, FactorId, GraphError, Incoming, Message, MessageError, MessageStreams, Messages,
+    Outgoing, Port, Purpose, Stream, Topology,
 };
 use std::ops::Range;
 
 /// Factors and variables per run: long enough that splitting costs nothing, short enough to share out.
 const RUN_LENGTH: usize = 4096;
 
+/// Factors that a thread works through in stages, so that the memory of one stage's messages is fetched side by side
+/// and what they leave stays in the first-level cache.
+const STRIDE: usize = 64;
+
+/// Factors in a stage: one alone where messages may be large.
+const fn stride<M: Message>() -> usize {
+    if M::ALWAYS_DIVIDES { STRIDE } else { 1 }
+}
+
+/// The consecutive strides that `factors` are cut into, at the same places whatever the run.
+fn strides<M: Message>(factors: Range<usize>) -> impl Iterator<Item = Range<usize>> {
+    let length = stride::<M>();
+    let first = factors.start / length;
+    (first..factors.end.div_ceil(length))
+        .map(move |index| (index * length).max(factors.start)..((index + 1) * length).min(factors.end))
+}
+
 /// How a flooding pass is cut, with the storage of each run.
 pub(super) struct Plan<M> {
     runs: Vec<FactorRun<M>>,
     variables: Vec<VariableRun<M>>,
+    /// For one thread: the variables by the stride of factors after which nothing more is sent to them.
+    done: Done,
+    scratch: Scratch<M>,
     /// The messages as they stood, kept where inputs may have to be multiplied from them.
     previous: Vec<M>,
     parallel: bool,
@@ -43,14 +67,62 @@ struct VariableRun<M> {
 impl<M: Message> Plan<M> {
     pub(super) fn new(topology: &Topology, scratch: &Scratch<M>, parallel: bool) -> Self {
         let small = topology.edge_count() < PARALLEL_EDGES;
+        let mut scratch = scratch.clone();
+        let widest =
+            strides::<M>(0..topology.factor_count()).map(|stride| topology.edges_of_factors(stride).len());
+        scratch.inputs.resize(widest.max().unwrap_or(0), scratch.output.clone());
         let run = |factors| FactorRun { factors, scratch: scratch.clone(), outcome: Ok(()) };
         let over = |variables| VariableRun { variables, previous: scratch.output.clone(), outcome: Ok(0.0) };
         Self {
             runs: cut(topology.factor_count(), small).map(run).collect(),
             variables: cut(topology.variable_count(), small).map(over).collect(),
+            done: if parallel && !small { Done::default() } else { Done::new(topology) },
             previous: Vec::new(),
             parallel: parallel && !small,
+            scratch,
         }
+    }
+}
+
+/// The variables in the order in which their last factor sends.
+#[derive(Default)]
+struct Done {
+    variables: Vec<u32>,
+    /// Where the variables of each stride of factors begin.
+    starts: Vec<u32>,
+}
+
+impl Done {
+    /// A counting sort; linear time. Variables without factors come with the first stride.
+    fn new(topology: &Topology) -> Self {
+        let strides = topology.factor_count().div_ceil(STRIDE).max(1);
+        let stride = |variable: usize| match topology.raw_edges_of_variable(variable).last() {
+            Some(&edge) => topology.factor_of(crate::EdgeId(edge)).index() / STRIDE,
+            None => 0,
+        };
+        let mut starts = vec![0; strides + 1];
+        for variable in 0..topology.variable_count() {
+            starts[stride(variable) + 1] += 1;
+        }
+        for index in 0..strides {
+            starts[index + 1] += starts[index];
+        }
+        let mut next = starts.clone();
+        let mut variables = vec![0; topology.variable_count()];
+        for variable in 0..topology.variable_count() {
+            let place = &mut next[stride(variable)];
+            variables[*place as usize] = variable as u32;
+            *place += 1;
+        }
+        Self { variables, starts }
+    }
+
+    /// The strides' factors and the variables done after each.
+    fn strides(&self, factors: usize) -> impl Iterator<Item = (Range<usize>, &[u32])> {
+        self.starts.windows(2).enumerate().map(move |(index, bounds)| {
+            let stride = index * STRIDE..((index + 1) * STRIDE).min(factors);
+            (stride, &self.variables[bounds[0] as usize..bounds[1] as usize])
+        })
     }
 }
 
@@ -70,7 +142,6 @@ struct Shared<'a, M: Message, F> {
     graph: &'a FactorGraph<M, F>,
     topology: &'a Topology,
     options: &'a Options,
-    beliefs: &'a [M],
     state: &'a State<M>,
     /// The messages as they stood, where a start still stands in for a belief.
     previous: &'a [M],
@@ -81,17 +152,19 @@ pub(super) fn everything<M: Message, F: Factor<M>>(
     engine: &mut Engine<'_, M, F>,
     topology: &Topology,
 ) -> Result<f64, GraphError> {
+    let any_guess = engine.state.guessed.contains(&true);
+    if M::ALWAYS_DIVIDES && !engine.flood.parallel && !any_guess {
+        return interleaved(engine, topology);
+    }
     let Engine { graph, options, state, belief_forms, flood, .. } = engine;
-    let any_guess = state.guessed.contains(&true);
     let mut messages = std::mem::take(&mut state.messages);
     if any_guess || (options.outgoing == Outgoing::Extrinsic && !M::ALWAYS_DIVIDES) {
         // Dividing needs beliefs that are products; extrinsic products read the messages as they stood.
         state.messages = std::mem::take(&mut flood.previous);
         state.messages.clone_from(&messages);
     }
-    let beliefs = &state.beliefs;
-    let shared = Shared { graph, topology, options, beliefs, state, previous: &[], belief_forms };
-    visit_factors(&shared, &mut flood.runs, &mut messages, 0, any_guess, flood.parallel);
+    let shared = Shared { graph, topology, options, state, previous: &[], belief_forms };
+    visit_factors(&shared, &state.beliefs, &mut flood.runs, &mut messages, 0, any_guess, flood.parallel);
     flood.previous = std::mem::replace(&mut state.messages, messages);
     for run in &mut flood.runs {
         std::mem::replace(&mut run.outcome, Ok(()))?;
@@ -99,7 +172,7 @@ pub(super) fn everything<M: Message, F: Factor<M>>(
     state.sent.fill(true);
     let (mut beliefs, mut guessed) = (std::mem::take(&mut state.beliefs), std::mem::take(&mut state.guessed));
     let previous = &flood.previous;
-    let shared = Shared { graph, topology, options, beliefs: &[], state, previous, belief_forms };
+    let shared = Shared { graph, topology, options, state, previous, belief_forms };
     visit_variables(&shared, &mut flood.variables, &mut beliefs, &mut guessed, 0, flood.parallel);
     (state.beliefs, state.guessed) = (beliefs, guessed);
     let mut largest: f64 = 0.0;
@@ -109,9 +182,33 @@ pub(super) fn everything<M: Message, F: Factor<M>>(
     Ok(largest)
 }
 
+/// On one thread, with beliefs that are products and can be divided: each is updated after its last factor.
+fn interleaved<M: Message, F: Factor<M>>(
+    engine: &mut Engine<'_, M, F>,
+    topology: &Topology,
+) -> Result<f64, GraphError> {
+    let Engine { graph, options, state, belief_forms, flood, exchange: [previous, _], .. } = engine;
+    let mut messages = std::mem::take(&mut state.messages);
+    let mut beliefs = std::mem::take(&mut state.beliefs);
+    let shared = Shared { graph, topology, options, state, previous: &[], belief_forms };
+    let mut largest: f64 = 0.0;
+    let outcome = flood.done.strides(topology.factor_count()).try_for_each(|(factors, variables)| {
+        send(&shared, &beliefs, factors, &mut flood.scratch, &mut messages, 0, false)?;
+        for &variable in variables {
+            let (variable, guess) = (variable as usize, &mut false);
+            gather(&shared, variable, &messages, previous, &mut beliefs[variable], guess, &mut largest)?;
+        }
+        Ok(())
+    });
+    (state.messages, state.beliefs) = (messages, beliefs);
+    state.sent.fill(true);
+    outcome.map(|()| largest)
+}
+
 /// Halves the runs until one is left; the depth is the logarithm of their number.
 fn visit_factors<M: Message, F: Factor<M>>(
     shared: &Shared<'_, M, F>,
+    beliefs: &[M],
     runs: &mut [FactorRun<M>],
     messages: &mut [M],
     offset: usize,
@@ -121,14 +218,15 @@ fn visit_factors<M: Message, F: Factor<M>>(
     match runs {
         [] => {}
         [run] => {
-            run.outcome = send(shared, run.factors.clone(), &mut run.scratch, messages, offset, any_guess)
+            run.outcome =
+                send(shared, beliefs, run.factors.clone(), &mut run.scratch, messages, offset, any_guess)
         }
         _ => {
             let (left, right) = runs.split_at_mut(runs.len() / 2);
             let middle = shared.topology.first_edge(right[0].factors.start);
             let (near, far) = messages.split_at_mut(middle - offset);
-            let mut first = || visit_factors(shared, left, near, offset, any_guess, parallel);
-            let mut second = || visit_factors(shared, right, far, middle, any_guess, parallel);
+            let mut first = || visit_factors(shared, beliefs, left, near, offset, any_guess, parallel);
+            let mut second = || visit_factors(shared, beliefs, right, far, middle, any_guess, parallel);
             if parallel {
                 rayon::join(first, second);
             } else {
@@ -139,55 +237,124 @@ fn visit_factors<M: Message, F: Factor<M>>(
     }
 }
 
-/// All messages of consecutive factors, in place.
+/// All messages of consecutive factors, in place: by strides, first what the variables send, then the answers.
 fn send<M: Message, F: Factor<M>>(
     shared: &Shared<'_, M, F>,
+    beliefs: &[M],
     factors: Range<usize>,
     scratch: &mut Scratch<M>,
     messages: &mut [M],
     offset: usize,
     any_guess: bool,
 ) -> Result<(), GraphError> {
-    let Shared { graph, topology, options, beliefs, state, .. } = *shared;
-    let iteration = state.iteration;
-    for factor in factors {
-        let rule = &graph.factors[factor];
-        let first = topology.first_edge(factor);
-        let variables = topology.raw_variables_of_factor(factor);
-        if variables.len() == 1 && rule.is_constant() && state.sent[first] {
-            continue;
+    for factors in strides::<M>(factors) {
+        let edges = shared.topology.edges_of_factors(factors.clone());
+        let messages = &mut messages[edges.start - offset..edges.end - offset];
+        // What a factor of one port says does not depend on what it hears.
+        if edges.len() > 1 {
+            ask(shared, beliefs, edges, messages, any_guess, &mut scratch.inputs)?;
         }
-        for (port, &variable) in variables.iter().enumerate() {
-            let belief = &beliefs[variable as usize];
-            let input = &mut scratch.inputs[port];
-            if options.outgoing == Outgoing::Broadcast {
-                input.clone_from(belief);
-            } else if any_guess || !belief.quotient_into(&messages[first + port - offset], input) {
-                without(shared, variable as usize, first + port, input)?;
-            }
-        }
-        let incoming = Incoming::trusted(&scratch.inputs, beliefs, variables);
-        for port in 0..variables.len() {
-            let edge = first + port;
-            let mut stream = Stream::new(options.seed, iteration, Purpose::Message, edge as u64);
-            let slot = &mut messages[edge - offset];
-            let form = &graph.edge_form[edge];
-            let outcome = if options.damping > 0.0 && state.sent[edge] {
-                rule.message_into(port, &incoming, form, &mut stream, &mut scratch.output).and_then(|()| {
-                    damp(&mut scratch.output, slot, options.damping)?;
-                    std::mem::swap(slot, &mut scratch.output);
-                    Ok(())
-                })
-            } else {
-                rule.message_into(port, &incoming, form, &mut stream, slot)
-            };
-            outcome.map_err(|source| rule_error(graph, FactorId(factor as u32), edge, iteration, source))?;
+        answer(shared, beliefs, factors, messages, scratch)?;
+    }
+    Ok(())
+}
+
+/// What the variables send along consecutive edges, into `inputs`.
+fn ask<M: Message, F: Factor<M>>(
+    shared: &Shared<'_, M, F>,
+    beliefs: &[M],
+    edges: Range<usize>,
+    messages: &[M],
+    any_guess: bool,
+    inputs: &mut [M],
+) -> Result<(), GraphError> {
+    let variables = shared.topology.raw_variables_of_edges(edges.clone());
+    let broadcast = shared.options.outgoing == Outgoing::Broadcast;
+    for (((input, message), &variable), edge) in inputs.iter_mut().zip(messages).zip(variables).zip(edges) {
+        let belief = &beliefs[variable as usize];
+        if broadcast {
+            input.clone_from(belief);
+        } else if any_guess || !belief.quotient_into(message, input) {
+            without(shared, variable as usize, edge, input)?;
         }
     }
     Ok(())
 }
 
+/// The messages of consecutive factors, in place of their old ones, from the inputs of all of them.
+fn answer<M: Message, F: Factor<M>>(
+    shared: &Shared<'_, M, F>,
+    beliefs: &[M],
+    factors: Range<usize>,
+    messages: &mut [M],
+    scratch: &mut Scratch<M>,
+) -> Result<(), GraphError> {
+    let Shared { graph, topology, options, state, .. } = *shared;
+    let Scratch { inputs, output } = scratch;
+    let mut first = topology.first_edge(factors.start);
+    let mut rest = (messages, &graph.edge_form[first..], &inputs[..]);
+    let rules = graph.factors[factors.clone()].iter();
+    let variables = topology.raw_variables_of_factors(factors.clone());
+    for ((factor, rule), variables) in factors.zip(rules).zip(variables) {
+        let arity = variables.len();
+        let (own, forms, inputs);
+        ((own, rest.0), (forms, rest.1)) = (rest.0.split_at_mut(arity), rest.1.split_at(arity));
+        (inputs, rest.2) = rest.2.split_at(arity);
+        let edges = first..first + arity;
+        first = edges.end;
+        if arity == 1 && rule.is_constant() && state.sent[edges.start] {
+            continue;
+        }
+        let incoming = Incoming::trusted(inputs, beliefs, variables);
+        let streams = MessageStreams::new(options.seed, state.iteration, edges.start as u64);
+        let outcome = if options.damping > 0.0 {
+            damped(rule, &incoming, forms, streams, &state.sent[edges.clone()], options.damping, own, output)
+        } else {
+            rule.all_messages_into(&incoming, forms, streams, own)
+        };
+        if let Err((port, source)) = outcome {
+            return Err(failed(shared, factor, edges.start + port, source));
+        }
+    }
+    Ok(())
+}
+
+#[cold]
+fn failed<M: Message, F: Factor<M>>(
+    shared: &Shared<'_, M, F>,
+    factor: usize,
+    edge: usize,
+    source: MessageError,
+) -> GraphError {
+    rule_error(shared.graph, FactorId(factor as u32), edge, shared.state.iteration, source)
+}
+
+/// As [`Factor::all_messages_into`], each message moved towards the one it replaces if that was ever sent.
+#[allow(clippy::too_many_arguments, reason = "the inputs of a rule, and what damping adds")]
+#[inline(never)]
+fn damped<M: Message, F: Factor<M>>(
+    rule: &F,
+    incoming: &Incoming<'_, M>,
+    forms: &[M::Form],
+    streams: MessageStreams,
+    sent: &[bool],
+    damping: f64,
+    messages: &mut [M],
+    output: &mut M,
+) -> Result<(), (Port, MessageError)> {
+    for (port, slot) in messages.iter_mut().enumerate() {
+        let mut outcome = rule.message_into(port, incoming, &forms[port], &mut streams.of(port), output);
+        if sent[port] {
+            outcome = outcome.and_then(|()| damp(output, slot, damping));
+        }
+        outcome.map_err(|error| (port, error))?;
+        std::mem::swap(slot, output);
+    }
+    Ok(())
+}
+
 /// The slow way to what a variable sends: the product of the other messages.
+#[cold]
 fn without<M: Message, F: Factor<M>>(
     shared: &Shared<'_, M, F>,
     variable: usize,
@@ -211,7 +378,7 @@ fn visit_variables<M: Message, F: Factor<M>>(
 ) {
     match runs {
         [] => {}
-        [run] => run.outcome = gather(shared, run.variables.clone(), &mut run.previous, beliefs, guessed),
+        [run] => run.outcome = gather_run(shared, run.variables.clone(), &mut run.previous, beliefs, guessed),
         _ => {
             let (left, right) = runs.split_at_mut(runs.len() / 2);
             let middle = right[0].variables.start;
@@ -230,54 +397,77 @@ fn visit_variables<M: Message, F: Factor<M>>(
 }
 
 /// The beliefs of consecutive variables; returns the largest change of one.
-fn gather<M: Message, F: Factor<M>>(
+fn gather_run<M: Message, F: Factor<M>>(
     shared: &Shared<'_, M, F>,
     variables: Range<usize>,
     previous: &mut M,
     beliefs: &mut [M],
     guessed: &mut [bool],
 ) -> Result<f64, GraphError> {
-    let Shared { graph, topology, options, state, belief_forms, .. } = *shared;
     let mut largest: f64 = 0.0;
     for ((variable, belief), guess) in variables.zip(beliefs).zip(guessed) {
-        let edges = topology.raw_edges_of_variable(variable);
-        let incoming = Messages::new(&state.messages, edges).with_prior(state.priors[variable].as_ref());
-        if incoming.is_empty() {
-            continue;
-        }
-        let mut stream = Stream::new(options.seed, state.iteration, Purpose::Belief, variable as u64);
-        let form = &belief_forms[variable];
-        let outcome = if *guess {
-            // Whatever replaces a guess is news; while nothing does, the messages tell whether they still move.
-            replace_guess(incoming, form, &mut stream, belief, guess).map(|()| match *guess {
-                true => moved(edges, &state.messages, shared.previous),
-                false => 1.0,
-            })
-        } else {
-            M::update(incoming, form, &mut stream, belief, previous)
-        };
-        let change = outcome.map_err(|source| product_error(graph, variable, state.iteration, source))?;
-        if change.is_nan() {
-            return Err(not_finite(shared, variable));
-        }
-        largest = largest.max(change);
+        gather(shared, variable, &shared.state.messages, previous, belief, guess, &mut largest)?;
     }
     Ok(largest)
+}
+
+/// The belief of one variable; raises `largest` to its change.
+#[inline(always)]
+fn gather<M: Message, F: Factor<M>>(
+    shared: &Shared<'_, M, F>,
+    variable: usize,
+    messages: &[M],
+    previous: &mut M,
+    belief: &mut M,
+    guess: &mut bool,
+    largest: &mut f64,
+) -> Result<(), GraphError> {
+    let Shared { graph, topology, options, state, belief_forms, .. } = *shared;
+    let edges = topology.raw_edges_of_variable(variable);
+    let incoming = Messages::new(messages, edges).with_prior(state.priors[variable].as_ref());
+    if incoming.is_empty() {
+        return Ok(());
+    }
+    let mut stream = Stream::new(options.seed, state.iteration, Purpose::Belief, variable as u64);
+    let form = &belief_forms[variable];
+    let outcome = if *guess {
+        // Whatever replaces a guess is news; while nothing does, the messages tell whether they still move.
+        replace_guess(incoming, form, &mut stream, belief, guess).map(|()| {
+            let change = if *guess { moved(edges, messages, shared.previous) } else { 1.0 };
+            *largest = larger(*largest, change);
+        })
+    } else {
+        M::update(incoming, form, &mut stream, belief, previous, largest)
+    };
+    match outcome {
+        Ok(()) if !largest.is_nan() => Ok(()),
+        Ok(()) => Err(not_finite(shared, variable, messages)),
+        Err(source) => Err(product_error(graph, variable, state.iteration, source)),
+    }
+}
+
+/// The larger of two, and NaN if the second is.
+fn larger(a: f64, b: f64) -> f64 {
+    if b > a || b.is_nan() { b } else { a }
 }
 
 /// The largest change of the messages along `edges`, and NaN if any is.
 fn moved<M: Message>(edges: &[u32], messages: &[M], previous: &[M]) -> f64 {
     let change = |&edge: &u32| messages[edge as usize].change(&previous[edge as usize]);
-    let larger = |a: f64, b: f64| if b > a || b.is_nan() { b } else { a };
     edges.iter().map(change).fold(0.0, larger)
 }
 
 /// A belief is not finite: blames the first message into it that is not, else the product.
-fn not_finite<M: Message, F: Factor<M>>(shared: &Shared<'_, M, F>, variable: usize) -> GraphError {
+#[cold]
+fn not_finite<M: Message, F: Factor<M>>(
+    shared: &Shared<'_, M, F>,
+    variable: usize,
+    messages: &[M],
+) -> GraphError {
     let Shared { graph, topology, state, .. } = *shared;
     let edges = topology.raw_edges_of_variable(variable);
     let bad = edges.iter().map(|&edge| edge as usize).find(|&edge| {
-        let message = &state.messages[edge];
+        let message = &messages[edge];
         message.change(message).is_nan()
     });
     let source = MessageError::NotFinite { what: "the change of the message", value: f64::NAN };

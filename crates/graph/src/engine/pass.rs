@@ -49,6 +49,7 @@ pub(super) fn replace_guess<M: Message>(
     Ok(())
 }
 
+#[cold]
 pub(super) fn product_error<M: Message, F: Factor<M>>(
     graph: &FactorGraph<M, F>,
     variable: usize,
@@ -58,6 +59,7 @@ pub(super) fn product_error<M: Message, F: Factor<M>>(
     GraphError::Product { variable: graph.variable_name(VariableId(variable as u32)), iteration, source }
 }
 
+#[cold]
 pub(super) fn rule_error<M: Message, F: Factor<M>>(
     graph: &FactorGraph<M, F>,
     factor: FactorId,

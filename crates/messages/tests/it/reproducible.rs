@@ -27,7 +27,11 @@ where
     graph
 }
 
-fn solve<M: Message + PartialEq>(graph: &FactorGraph<M, Linear<2>>, parallel: bool, threads: usize) -> Vec<M>
+fn solve<M: Message + PartialEq>(
+    graph: &FactorGraph<M, Linear<2>>,
+    parallel: bool,
+    threads: usize,
+) -> (Vec<f64>, Vec<M>)
 where
     Linear<2>: Factor<M>,
 {
@@ -35,8 +39,9 @@ where
     pool.install(|| {
         let options = Options { parallel, max_iterations: 20, tolerance: 0.0, ..Options::default() };
         let mut engine = Engine::new(graph, options).unwrap();
-        engine.run(&mut Flooding).unwrap();
-        graph.variable_ids().map(|variable| engine.belief(variable).clone()).collect()
+        let report = engine.run(&mut Flooding).unwrap();
+        let beliefs = graph.variable_ids().map(|variable| engine.belief(variable).clone());
+        (report.changes, beliefs.collect())
     })
 }
 
