@@ -18,6 +18,7 @@ mod kernel;
 mod mixture;
 mod moments;
 mod particles;
+pub mod vector;
 
 pub use any::{AnyForm, AnyMessage, AnyValue, ParticleFamily};
 pub use dense::Cholesky;

@@ -15,7 +15,6 @@ mod reduction;
 mod sample;
 mod small;
 mod tree;
-mod vector;
 
 pub use bandwidth::Bandwidth;
 pub use density::Evaluator;
@@ -25,13 +24,13 @@ pub use product::{
     MultiscaleGibbs, Pairwise, Pointwise, Product, ProductChoice, ProductMethod, ProductQuality,
 };
 
+use crate::vector::exponentials;
 use crate::{DynamicGaussian, Moments};
 use record::MixtureRecord;
 use serde::{Deserialize, Serialize};
 use small::{Small, difference, invert, log_sum, multiply, wrap_point};
 use std::f64::consts::TAU;
 use sumprod_graph::{Coordinate, MessageError, Space};
-use vector::exponentials;
 
 /// A mixture of Gaussians over a continuous variable.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -15,6 +15,16 @@ pub struct Moments {
 }
 
 impl Moments {
+    /// Independent coordinates of these means and variances, one variance a mean.
+    pub fn diagonal(mean: &[f64], variances: &[f64]) -> Self {
+        let d = mean.len();
+        let mut covariance = vec![0.0; d * d];
+        for (entry, variance) in covariance.iter_mut().step_by(d + 1).zip(variances) {
+            *entry = *variance;
+        }
+        Self { mean: mean.to_vec(), covariance }
+    }
+
     /// Number of coordinates.
     pub fn dimension(&self) -> usize {
         self.mean.len()

@@ -4,6 +4,7 @@
 //! whose message is the sum of theirs. This is a clique of the junction tree: what loopy messages approximate, a
 //! cluster has exactly.
 
+use crate::cloud::{Likelihood, Residuals, each_point};
 use crate::residual::{Linearised, Residual, ResidualModel};
 use crate::rules::{GaussianDraft, GaussianView, ParticleView, Rules};
 use crate::small::{Matrix, Vector, multiply, transpose, zero_vector, zeros};
@@ -70,6 +71,11 @@ impl Cluster {
         Ok(())
     }
 
+    /// Sum of the residuals' log densities at a point.
+    fn log_value(&self, point: &[f64]) -> f64 {
+        self.parts.iter().map(|part| part.log_value(point)).sum()
+    }
+
     /// Number of residuals.
     pub fn len(&self) -> usize {
         self.parts.len()
@@ -127,11 +133,26 @@ impl Rules for Cluster {
         out.become_likelihood(carrier, |log_values| {
             for (value, point) in log_values.iter_mut().zip(carrier.points().chunks_exact(self.dimension[0]))
             {
-                *value = self.parts.iter().map(|part| part.log_value(point)).sum();
+                *value = self.log_value(point);
             }
             Ok(())
         })?;
         Ok(0.0)
+    }
+}
+
+impl Likelihood for Cluster {
+    fn dimension(&self) -> Result<Option<usize>, MessageError> {
+        Ok(Some(self.dimension[0]))
+    }
+
+    fn components(&self) -> usize {
+        0
+    }
+
+    fn add_log(&self, block: &[f64], log_values: &mut [f64], _residuals: &mut Residuals) -> f64 {
+        each_point(block, log_values, |point| self.log_value(point));
+        f64::INFINITY
     }
 }
 

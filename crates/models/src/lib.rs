@@ -9,17 +9,22 @@
 //! | particles | values at the receiver's particles, averaged over the sender's | a draw per particle, guided by what is known of the receiver |
 //! | any | by the form of the edge | by the form of the edge |
 //!
+//! What a particle filter and the particle rules have in common, many particles at a time, is in [`cloud`].
+//!
 //! [`AddModel`] puts them into a graph; [`check_residual`] holds a residual against finite differences.
 
 mod add;
 mod blocks;
 mod check;
+pub mod cloud;
 mod cluster;
 mod dual;
 pub mod library;
 mod model;
+pub mod moments;
 mod motion;
 mod noise;
+mod packed;
 mod residual;
 mod rules;
 mod small;

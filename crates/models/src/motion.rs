@@ -2,7 +2,7 @@
 //!
 //! x' = f(x) + B z, z ~ N(0, I). The process covariance B B' may be singular: nothing here inverts it.
 
-use crate::dual::{Lanes, differentiate};
+use crate::moments::{linearise_motion, predict_covariance};
 use crate::rules::particles::Guided;
 use crate::rules::{GaussianDraft, GaussianView, ParticleView};
 use crate::small::{
@@ -152,6 +152,29 @@ pub trait Motion: Send + Sync {
 
     /// The process noise at a state.
     fn noise(&self, state: &[f64]) -> ProcessNoise;
+
+    /// The process noise, where it is the same at every state: particles are then moved many at a time.
+    fn constant_noise(&self) -> Option<&ProcessNoise> {
+        None
+    }
+}
+
+impl<T: Motion> Motion for &T {
+    fn dimension(&self) -> usize {
+        (**self).dimension()
+    }
+
+    fn step<N: Real>(&self, state: &[N], next: &mut [N]) {
+        (**self).step(state, next);
+    }
+
+    fn noise(&self, state: &[f64]) -> ProcessNoise {
+        (**self).noise(state)
+    }
+
+    fn constant_noise(&self) -> Option<&ProcessNoise> {
+        (**self).constant_noise()
+    }
 }
 
 /// A motion as a factor of two ports: from the state (port 0) to the next (port 1).
@@ -176,7 +199,7 @@ impl<T: Motion> Transition<T> {
     fn linearise(&self, x: &[f64]) -> (Vector, Matrix) {
         let d = x.len();
         let (mut next, mut jacobian) = (zero_vector(d), zeros(d * d));
-        differentiate(x, &mut next, &mut jacobian, |x: &[Lanes], out: &mut [Lanes]| self.motion.step(x, out));
+        linearise_motion(&self.motion, x, &mut next, &mut jacobian);
         (next, jacobian)
     }
 
@@ -185,10 +208,9 @@ impl<T: Motion> Transition<T> {
     fn ahead(&self, at: &[f64], mean: &[f64], covariance: &[f64]) -> (Vector, Matrix) {
         let d = at.len();
         let (mut ahead, jacobian) = self.linearise(at);
-        let moved = multiply(&jacobian, covariance, d, d);
-        let mut predicted = multiply(&moved, &transpose(&jacobian, d, d), d, d);
-        add_covariance(&self.motion.noise(at), &mut predicted);
-        symmetrise(&mut predicted, d);
+        let (mut cross, mut predicted) = (zeros(d * d), zeros(d * d));
+        let noise = self.motion.noise(at);
+        predict_covariance(&jacobian, covariance, noise.factor(), d, &mut cross, &mut predicted);
         let offset: Vector = mean.iter().zip(at).map(|(mean, at)| mean - at).collect();
         multiply_add(&jacobian, &offset, d, 1, &mut ahead);
         (ahead, predicted)

@@ -48,6 +48,29 @@ pub trait Residual: Send + Sync {
     }
 }
 
+impl<R: Residual> Residual for &R {
+    fn dimensions(&self) -> &[usize] {
+        (**self).dimensions()
+    }
+
+    #[inline(always)]
+    fn residual<T: Real>(&self, x: &[&[T]], out: &mut [T]) {
+        (**self).residual(x, out);
+    }
+
+    fn noise(&self) -> &Noise {
+        (**self).noise()
+    }
+
+    fn angles(&self) -> &[usize] {
+        (**self).angles()
+    }
+
+    fn sampler(&self, port: Port) -> Option<&dyn PortSampler> {
+        (**self).sampler(port)
+    }
+}
+
 /// A residual behind a pointer: what the Gaussian rules need of it.
 pub trait Linearised: Send + Sync {
     /// The dimension of each port.

@@ -16,6 +16,7 @@ chapters! {
     Rules: "../../../docs/src/rules.md",
     Schedules: "../../../docs/src/schedules.md",
     Time: "../../../docs/src/time.md",
+    Filters: "../../../docs/src/filters.md",
     Reproducibility: "../../../docs/src/reproducibility.md",
     Diagnostics: "../../../docs/src/diagnostics.md",
     Extending: "../../../docs/src/extending.md",

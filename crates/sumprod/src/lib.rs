@@ -26,6 +26,7 @@
 mod book;
 
 pub use nalgebra;
+pub use sumprod_filters as filters;
 pub use sumprod_graph as graph;
 pub use sumprod_messages as messages;
 pub use sumprod_models as models;
@@ -34,6 +35,7 @@ pub use sumprod_positioning as positioning;
 
 /// What most programs need.
 pub mod prelude {
+    pub use sumprod_filters::{Correct, Filter, Kalman, ParticleFilter, Predict, Smooth};
     pub use sumprod_graph::schedule::{
         Flooding, ForwardBackward, Residual as ResidualSchedule, Sequential, Sliced,
     };

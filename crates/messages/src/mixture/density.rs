@@ -12,8 +12,8 @@ mod sum;
 
 use super::small::{Small, log_sum, whitener};
 use super::tree::{Tree, scale};
-use super::vector::{greater, widest};
 use super::{Mixture, size};
+use crate::vector::{greater, widest};
 use bounds::Bounds;
 use interpolation::Nodes;
 use std::f64::consts::{PI, TAU};
@@ -366,7 +366,7 @@ impl<'a> Evaluator<'a> {
             for k in 0..=row {
                 let mut offset = group.points[k][lane] - component[1 + k];
                 if self.mixture.coordinates()[k] == Coordinate::Angle {
-                    offset = super::vector::wrap(offset);
+                    offset = crate::vector::wrap(offset);
                 }
                 white += component[entry] * offset;
                 entry += 1;

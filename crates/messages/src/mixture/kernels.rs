@@ -10,7 +10,7 @@ mod plan;
 use super::Mixture;
 use super::small::{Small, log_determinant};
 use super::tree::Tree;
-use super::vector::{exp, greater, sum, widest};
+use crate::vector::{exp, greater, sum, widest};
 use plan::Plan;
 use std::f64::consts::TAU;
 use sumprod_graph::Coordinate;

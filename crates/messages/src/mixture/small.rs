@@ -115,9 +115,9 @@ pub(crate) fn log_sum(logs: &[f64]) -> f64 {
         return largest;
     }
     if logs.len() < 32 {
-        return largest + logs.iter().map(|log| super::vector::exp(log - largest)).sum::<f64>().ln();
+        return largest + logs.iter().map(|log| crate::vector::exp(log - largest)).sum::<f64>().ln();
     }
-    largest + super::vector::exponentials(logs, largest, &mut Vec::new()).ln()
+    largest + crate::vector::exponentials(logs, largest, &mut Vec::new()).ln()
 }
 
 /// The product of two Gaussians, N(x; a, A) N(x; b, B) = N(a; b, A + B) N(x; m, C).

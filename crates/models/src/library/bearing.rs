@@ -2,6 +2,7 @@
 
 use super::checks::{coordinates, finite, size};
 use super::range::{TOUCHING, distance};
+use crate::packed::is_packed;
 use crate::{Noise, Real, Residual};
 use sumprod_graph::MessageError;
 
@@ -52,8 +53,8 @@ fn offset<T: Real>(x: &[&[T]], target: Option<[f64; 2]>) -> [T; 2] {
 
 /// The direction of an offset (rad); at coincident points it is left open, without a derivative.
 fn direction<T: Real>([east, north]: [T; 2]) -> T {
-    let squared = (east * east + north * north).re();
-    if squared < TOUCHING * TOUCHING { T::from(0.0) } else { north.atan2(east) }
+    let touching = || (east * east + north * north).re() < TOUCHING * TOUCHING;
+    if !is_packed::<T>() && touching() { T::from(0.0) } else { north.atan2(east) }
 }
 
 impl Residual for Bearing {

@@ -77,6 +77,7 @@ impl Motion for ConstantVelocity {
         2 * self.axes
     }
 
+    #[inline(always)]
     fn step<T: Real>(&self, state: &[T], next: &mut [T]) {
         for (from, to) in state.chunks_exact(2).zip(next.chunks_exact_mut(2)) {
             to[0] = from[0] + from[1] * self.interval;
@@ -86,6 +87,10 @@ impl Motion for ConstantVelocity {
 
     fn noise(&self, _state: &[f64]) -> ProcessNoise {
         self.noise.clone()
+    }
+
+    fn constant_noise(&self) -> Option<&ProcessNoise> {
+        Some(&self.noise)
     }
 }
 

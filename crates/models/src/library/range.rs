@@ -3,6 +3,7 @@
 //! Variables may be larger than a position (a state, a pose): a range reads the coordinates it is told to.
 
 use super::checks::{coordinates, finite, size};
+use crate::packed::is_packed;
 use crate::{Noise, PortSampler, Real, Residual};
 use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
@@ -13,10 +14,12 @@ use sumprod_graph::{FastStream, MessageError, Port};
 pub(super) const TOUCHING: f64 = 1e-9;
 
 /// The length of the vector (x, y), for residuals of points in the plane: its derivatives are finite everywhere.
+#[inline(always)]
 pub fn distance<T: Real>(x: T, y: T) -> T {
     let squared = x * x + y * y;
     // At coincident points the derivative of the root does not exist; the direction is left open.
-    if squared.re() < TOUCHING * TOUCHING { squared } else { squared.sqrt() }
+    // Particles need no derivative.
+    if !is_packed::<T>() && squared.re() < TOUCHING * TOUCHING { squared } else { squared.sqrt() }
 }
 
 /// The measured distance z between two positions: r = |p₁ - p₀| - z.

@@ -6,9 +6,9 @@
 )]
 
 use super::super::small::Small;
-use super::super::vector::{exp, round};
 use super::interpolation::NODES;
 use super::{Evaluator, Group, LANES, Plan};
+use crate::vector::{exp, round};
 use std::f64::consts::TAU;
 use sumprod_graph::Coordinate;
 

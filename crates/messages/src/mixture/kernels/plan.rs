@@ -6,8 +6,8 @@
 )]
 
 use super::super::small::{Small, whitener};
-use super::super::vector::{greater, ln, round};
 use super::{BLOCK, Block, Kernels, NOTHING, Query};
+use crate::vector::{greater, ln, round};
 use smallvec::SmallVec;
 use std::f64::consts::{PI, TAU};
 

@@ -13,10 +13,10 @@
 use super::super::Mixture;
 use super::super::small::{Pair, Small, difference, multiply, whitener};
 use super::super::tree::{Merged, Tree, merge};
-use super::super::vector::exponentials;
 use super::chains::Chains;
 use super::gibbs::warn_of_stuck_labels;
 use super::{Exact, Product, ProductMethod, absorb, check, comb};
+use crate::vector::exponentials;
 use rand::RngExt;
 use std::borrow::Cow;
 use sumprod_graph::{FastStream, MessageError, Stream};

@@ -9,12 +9,12 @@
 
 use super::super::condense::condense;
 use super::super::small::log_determinant;
-use super::super::vector::exponentials;
 use super::super::{Evaluator, Mixture};
 use super::importance::{ACCURACY, weigh};
 use super::pairs::multiply;
 use super::quality::{ProductQuality, check_agreement, log_products, sort};
 use super::{Exact, Product, ProductMethod, absorb, check};
+use crate::vector::exponentials;
 use std::borrow::Cow;
 use sumprod_graph::{FastStream, MessageError, Stream};
 

@@ -1,0 +1,62 @@
+//! What a Gaussian filter refuses.
+
+use nalgebra::DMatrix;
+use sumprod_graph::MessageError;
+use sumprod_messages::Moments;
+
+use crate::FilterError;
+
+/// Checks that moments are a distribution of this dimension; a direction may be known exactly.
+///
+/// # Errors
+///
+/// [`FilterError::Prior`] with the entry or the eigenvalue that is wrong.
+pub(crate) fn distribution(moments: &Moments, dimension: usize) -> Result<(), FilterError> {
+    let Moments { mean, covariance } = moments;
+    let sizes =
+        [("the mean", mean.len(), dimension), ("the covariance", covariance.len(), dimension * dimension)];
+    for (what, found, expected) in sizes {
+        if found != expected {
+            return Err(FilterError::Prior(MessageError::Dimension { what, found, expected }));
+        }
+    }
+    if let Some(&value) = mean.iter().find(|value| !value.is_finite()) {
+        return Err(FilterError::Prior(MessageError::NotFinite { what: "an entry of the mean", value }));
+    }
+    if let Some(&value) = covariance.iter().find(|value| !value.is_finite()) {
+        return Err(FilterError::Prior(MessageError::NotFinite {
+            what: "an entry of the covariance",
+            value,
+        }));
+    }
+    let matrix = DMatrix::from_row_slice(dimension, dimension, covariance);
+    let largest = matrix.amax();
+    if (&matrix - matrix.transpose()).amax() > 1e-9 * largest {
+        return Err(FilterError::Prior(MessageError::Unsupported("the covariance is not symmetric".into())));
+    }
+    let eigen = matrix.symmetric_eigen();
+    match eigen.eigenvalues.iter().enumerate().find(|(_, value)| **value < -1e-12 * largest) {
+        Some((pivot, &value)) => Err(FilterError::Prior(MessageError::NotPositiveDefinite {
+            what: "the covariance",
+            pivot,
+            value,
+        })),
+        None => Ok(()),
+    }
+}
+
+/// Checks that what a step made is finite and has no negative variance.
+///
+/// # Errors
+///
+/// The first entry that is not, under the name of its matrix.
+pub(crate) fn step(mean: &[f64], covariance: &[f64], what: &'static str) -> Result<(), MessageError> {
+    let d = mean.len();
+    if let Some(&value) = mean.iter().chain(covariance).find(|value| !value.is_finite()) {
+        return Err(MessageError::NotFinite { what, value });
+    }
+    match (0..d).map(|k| (k, covariance[k * d + k])).find(|(_, variance)| *variance < 0.0) {
+        Some((pivot, value)) => Err(MessageError::NotPositiveDefinite { what, pivot, value }),
+        None => Ok(()),
+    }
+}

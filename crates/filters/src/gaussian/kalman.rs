@@ -1,0 +1,230 @@
+//! The Kalman filter of `D` coordinates, and its extended and iterated forms.
+//!
+//! Predict: m ← f(m), P ← F P F' + B B'. Correct, with r the residual at m and J its Jacobian: S = J P J' + R,
+//! K = P J' S⁻¹, m ← m - K r, P ← (I - K J) P (I - K J)' + K R K'. Source: Kalman 1960; the form of P is Joseph's.
+
+use smallvec::SmallVec;
+use sumprod_graph::MessageError;
+use sumprod_messages::Moments;
+use sumprod_models::moments::{Line, correct, linearise_motion, noise_against, predict_covariance};
+use sumprod_models::{Linearised, Motion, Residual, ResidualModel};
+
+use super::{Approximation, checks};
+use crate::{Correct, Correction, Filter, FilterError, Predict};
+
+/// A square matrix, row by row.
+pub type Square<const D: usize> = [[f64; D]; D];
+
+/// Gauss-Newton has converged where a step is this small against the standard deviations.
+const CONVERGED: f64 = 1e-10;
+
+/// A filter whose belief is the mean and covariance of `D` coordinates.
+///
+/// ```
+/// use sumprod_filters::{Correct, Filter, Kalman, Predict};
+/// use sumprod_messages::Moments;
+/// use sumprod_models::Noise;
+/// use sumprod_models::library::{AnchorRange, ConstantVelocity};
+///
+/// let prior = Moments::diagonal(&[0.0, 1.0, 0.0, 1.0], &[25.0, 1.0, 25.0, 1.0]);
+/// let mut filter = Kalman::<4>::new(&prior)?;
+/// filter.predict(&ConstantVelocity::white_acceleration(2, 1.0, 0.1)?)?;
+/// let range = AnchorRange::new(100.0, [60.0, -80.0], 4, [0, 2], Noise::isotropic(1, 1.0)?)?;
+/// let correction = filter.correct(&range)?;
+/// assert!(correction.innovation[0].abs() < 1.0);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Clone, Debug, PartialEq)]
+pub struct Kalman<const D: usize> {
+    mean: [f64; D],
+    covariance: Square<D>,
+    prediction: Prediction<D>,
+    approximation: Approximation,
+    step: u64,
+}
+
+/// A prediction as smoothing needs it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Prediction<const D: usize> {
+    /// The predicted mean.
+    pub mean: [f64; D],
+    /// The predicted covariance.
+    pub covariance: Square<D>,
+    /// Cross-covariance of the predicted state with the one before.
+    pub cross: Square<D>,
+}
+
+/// A step of a Gaussian filter.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct GaussianRecord<const D: usize> {
+    /// What was predicted.
+    pub prediction: Prediction<D>,
+    /// The mean after the step's corrections.
+    pub mean: [f64; D],
+    /// The covariance after the step's corrections.
+    pub covariance: Square<D>,
+}
+
+impl<const D: usize> GaussianRecord<D> {
+    /// The moments after the step's corrections.
+    pub fn moments(&self) -> Moments {
+        Moments { mean: self.mean.to_vec(), covariance: self.covariance.as_flattened().to_vec() }
+    }
+}
+
+impl<const D: usize> Kalman<D> {
+    /// A filter that starts from a prior, of which any direction may be known exactly.
+    ///
+    /// # Errors
+    ///
+    /// Where the prior has not `D` coordinates, or is no distribution.
+    pub fn new(prior: &Moments) -> Result<Self, FilterError> {
+        checks::distribution(prior, D)?;
+        let (mut mean, mut covariance) = ([0.0; D], [[0.0; D]; D]);
+        mean.copy_from_slice(&prior.mean);
+        covariance.as_flattened_mut().copy_from_slice(&prior.covariance);
+        let prediction = Prediction { mean, covariance, cross: covariance };
+        Ok(Self { mean, covariance, prediction, approximation: Approximation::default(), step: 0 })
+    }
+
+    /// Treats what is not linear otherwise than by first-order expansion at the mean.
+    #[must_use]
+    pub fn approximated(self, approximation: Approximation) -> Self {
+        Self { approximation, ..self }
+    }
+
+    /// The mean.
+    pub fn mean(&self) -> &[f64; D] {
+        &self.mean
+    }
+
+    /// The covariance.
+    pub fn covariance(&self) -> &Square<D> {
+        &self.covariance
+    }
+
+    /// Corrects by the line that the approximation gives, from the prediction as it is.
+    fn corrected<R: Residual>(&self, residual: &R) -> Result<(Self, Correction), MessageError> {
+        let found = residual.dimensions();
+        if found != [D] {
+            let found = if let [one] = found { *one } else { found.iter().sum() };
+            return Err(MessageError::Dimension { what: "the measured state", found, expected: D });
+        }
+        let steps = match self.approximation {
+            Approximation::FirstOrder => 1,
+            Approximation::Iterated(most) => most.max(1),
+        };
+        let mut at = self.mean;
+        let mut step = 0;
+        loop {
+            let (posterior, correction) = self.linearised_at(&at, residual)?;
+            step += 1;
+            if step >= steps || posterior.moved_from(&at) < CONVERGED {
+                return Ok((posterior, correction));
+            }
+            at = posterior.mean;
+        }
+    }
+
+    /// How far the mean is from a point, in standard deviations of the worst coordinate.
+    fn moved_from(&self, at: &[f64; D]) -> f64 {
+        let moved = (0..D).map(|k| {
+            let (distance, variance) = ((self.mean[k] - at[k]).abs(), self.covariance[k][k]);
+            if distance == 0.0 { 0.0 } else { distance / variance.sqrt() }
+        });
+        moved.fold(0.0, f64::max)
+    }
+
+    /// The posterior where the residual is expanded at a point: r(x) ≈ r(x̄) + J (x - x̄).
+    #[inline]
+    fn linearised_at<R: Residual>(
+        &self,
+        at: &[f64; D],
+        residual: &R,
+    ) -> Result<(Self, Correction), MessageError> {
+        let m = residual.noise().dimension();
+        let mut value: SmallVec<[f64; 6]> = SmallVec::from_elem(0.0, m);
+        let mut jacobian: SmallVec<[f64; 36]> = SmallVec::from_elem(0.0, m * D);
+        ResidualModel(residual).linearise(at, &mut value, &mut jacobian);
+        if at != &self.mean {
+            for (value, row) in value.iter_mut().zip(jacobian.chunks_exact(D)) {
+                *value += (0..D).map(|k| row[k] * (self.mean[k] - at[k])).sum::<f64>();
+            }
+        }
+        let covariance = self.covariance.as_flattened();
+        let noise = noise_against(residual.noise(), &value, &jacobian, covariance);
+        let line = Line { value: &value, jacobian: &jacobian, noise: &noise };
+        let mut posterior = self.clone();
+        let found = correct(line, &mut posterior.mean, posterior.covariance.as_flattened_mut())?;
+        checks::step(&posterior.mean, posterior.covariance.as_flattened(), "the corrected covariance")?;
+        value.iter_mut().for_each(|value| *value = -*value);
+        let correction = Correction {
+            log_likelihood: found.log_likelihood,
+            innovation: value,
+            innovation_covariance: found.innovation_covariance,
+            recovered: false,
+        };
+        Ok((posterior, correction))
+    }
+}
+
+impl<const D: usize, M: Motion> Predict<M> for Kalman<D> {
+    #[inline]
+    fn predict(&mut self, motion: &M) -> Result<(), FilterError> {
+        let failed = FilterError::step(self.step);
+        if motion.dimension() != D {
+            let (found, expected) = (motion.dimension(), D);
+            return Err(failed(MessageError::Dimension { what: "the motion", found, expected }));
+        }
+        let zero = [[0.0; D]; D];
+        let mut next = Prediction { mean: [0.0; D], covariance: zero, cross: zero };
+        let mut jacobian = zero;
+        linearise_motion(motion, &self.mean, &mut next.mean, jacobian.as_flattened_mut());
+        let own;
+        let noise = match motion.constant_noise() {
+            Some(noise) => noise,
+            None => {
+                own = motion.noise(&self.mean);
+                &own
+            }
+        };
+        predict_covariance(
+            jacobian.as_flattened(),
+            self.covariance.as_flattened(),
+            noise.factor(),
+            D,
+            next.cross.as_flattened_mut(),
+            next.covariance.as_flattened_mut(),
+        );
+        checks::step(&next.mean, next.covariance.as_flattened(), "the predicted covariance")
+            .map_err(failed)?;
+        (self.mean, self.covariance, self.prediction) = (next.mean, next.covariance, next);
+        self.step += 1;
+        Ok(())
+    }
+}
+
+impl<const D: usize, R: Residual> Correct<R> for Kalman<D> {
+    #[inline]
+    fn correct(&mut self, measurement: &R) -> Result<Correction, FilterError> {
+        let (posterior, correction) = self.corrected(measurement).map_err(FilterError::step(self.step))?;
+        *self = posterior;
+        Ok(correction)
+    }
+}
+
+impl<const D: usize> Filter for Kalman<D> {
+    type Record = GaussianRecord<D>;
+
+    fn moments(&self) -> Moments {
+        self.record().moments()
+    }
+
+    fn step(&self) -> u64 {
+        self.step
+    }
+
+    fn record(&self) -> GaussianRecord<D> {
+        GaussianRecord { prediction: self.prediction, mean: self.mean, covariance: self.covariance }
+    }
+}

@@ -1,0 +1,180 @@
+//! A measurement's residuals and log densities at the particles of a block.
+
+use super::{BLOCK, values};
+use crate::packed::{Packed, WIDTH, looked};
+use crate::{Noise, Residual};
+use sumprod_graph::{MessageError, wrap_angle};
+use sumprod_messages::vector;
+
+/// Residuals at a block's particles: component by component, [`BLOCK`] values each.
+pub type Residuals = Vec<f64>;
+
+/// Writes the residual, of one variable, at a block's first `count` particles; angles wrapped.
+pub fn residuals<R: Residual>(residual: &R, block: &[f64], count: usize, out: &mut Residuals) {
+    let m = residual.noise().dimension();
+    out.resize(m * BLOCK, 0.0);
+    looked();
+    vector::widest(Evaluate { residual, block, count, out });
+    if looked() {
+        let d = block.len() / BLOCK;
+        let (mut x, mut value) = (values(d, 0.0), values(m, 0.0));
+        for i in 0..count {
+            x.iter_mut().enumerate().for_each(|(k, x)| *x = block[k * BLOCK + i]);
+            residual.residual(&[&x], &mut value);
+            value.iter().enumerate().for_each(|(k, value)| out[k * BLOCK + i] = *value);
+        }
+    }
+    for &angle in residual.angles() {
+        out[angle * BLOCK..][..count].iter_mut().for_each(|x| *x = wrap_angle(*x));
+    }
+}
+
+struct Evaluate<'a, R> {
+    residual: &'a R,
+    block: &'a [f64],
+    count: usize,
+    out: &'a mut [f64],
+}
+
+impl<R: Residual> pulp::NullaryFnOnce for Evaluate<'_, R> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        let d = self.block.len() / BLOCK;
+        let m = self.residual.noise().dimension();
+        let (mut x, mut value) = (values(d, Packed::from(0.0)), values(m, Packed::from(0.0)));
+        for first in (0..self.count).step_by(WIDTH) {
+            for (k, x) in x.iter_mut().enumerate() {
+                x.0.copy_from_slice(&self.block[k * BLOCK + first..][..WIDTH]);
+            }
+            self.residual.residual(&[&x], &mut value);
+            for (k, value) in value.iter().enumerate() {
+                self.out[k * BLOCK + first..][..WIDTH].copy_from_slice(&value.0);
+            }
+        }
+    }
+}
+
+/// Adds the noise's log density of each residual to `log_values`; returns the least squared length r'R⁻¹r.
+pub fn add_log_densities(noise: &Noise, residuals: &[f64], log_values: &mut [f64]) -> f64 {
+    vector::widest(LogDensities { noise, residuals, log_values })
+}
+
+struct LogDensities<'a> {
+    noise: &'a Noise,
+    residuals: &'a [f64],
+    log_values: &'a mut [f64],
+}
+
+impl pulp::NullaryFnOnce for LogDensities<'_> {
+    type Output = f64;
+
+    #[inline(always)]
+    fn call(self) -> f64 {
+        let m = self.noise.dimension();
+        let mut squared = [0.0; BLOCK];
+        let count = self.log_values.len();
+        let squared = &mut squared[..count];
+        for row in 0..m {
+            for column in 0..m {
+                let weight = self.noise.information()[row * m + column];
+                if weight != 0.0 {
+                    let rows = &self.residuals[row * BLOCK..][..count];
+                    let columns = &self.residuals[column * BLOCK..][..count];
+                    for ((squared, a), b) in squared.iter_mut().zip(rows).zip(columns) {
+                        *squared += weight * a * b;
+                    }
+                }
+            }
+        }
+        let peak = self.noise.log_peak();
+        match self.noise.degrees_of_freedom() {
+            None => {
+                for (log, squared) in self.log_values.iter_mut().zip(&*squared) {
+                    *log += peak - 0.5 * squared;
+                }
+            }
+            Some(nu) => {
+                let half = 0.5 * (nu + m as f64);
+                for (log, squared) in self.log_values.iter_mut().zip(&*squared) {
+                    // Of an argument of one or more, so that the absolute error is all there is.
+                    *log += peak - half * vector::ln(1.0 + squared / nu);
+                }
+            }
+        }
+        squared.iter().fold(f64::INFINITY, |least, &s| if s < least { s } else { least })
+    }
+}
+
+/// What is known of a state by a measurement: a log likelihood at the particles of a block.
+///
+/// Every [`Residual`] of one variable is one, and so is a [`Cluster`](crate::Cluster), and a closure in a
+/// [`LogLikelihood`].
+pub trait Likelihood: Sync {
+    /// The state's dimension, where only one will do.
+    ///
+    /// # Errors
+    ///
+    /// Where this is no likelihood of a single variable.
+    fn dimension(&self) -> Result<Option<usize>, MessageError>;
+
+    /// Number of components of the residual; zero where there is none.
+    fn components(&self) -> usize;
+
+    /// Adds the log likelihood at a block's first particles, as many as `log_values` has places, and returns the
+    /// least squared length of a residual; infinity where there are no residuals. Where there are, `residuals` holds
+    /// them component by component, [`BLOCK`] values each.
+    fn add_log(&self, block: &[f64], log_values: &mut [f64], residuals: &mut Residuals) -> f64;
+}
+
+impl<R: Residual> Likelihood for R {
+    fn dimension(&self) -> Result<Option<usize>, MessageError> {
+        match self.dimensions() {
+            [dimension] => Ok(Some(*dimension)),
+            ports => Err(MessageError::Dimension {
+                what: "the list of a measurement's variables",
+                found: ports.len(),
+                expected: 1,
+            }),
+        }
+    }
+
+    fn components(&self) -> usize {
+        self.noise().dimension()
+    }
+
+    #[inline]
+    fn add_log(&self, block: &[f64], log_values: &mut [f64], out: &mut Residuals) -> f64 {
+        residuals(self, block, log_values.len(), out);
+        add_log_densities(self.noise(), out, log_values)
+    }
+}
+
+/// A log likelihood by a function of the state: `-∞` where the measurement is impossible.
+#[derive(Clone, Copy, Debug)]
+pub struct LogLikelihood<F>(pub F);
+
+impl<F: Fn(&[f64]) -> f64 + Sync> Likelihood for LogLikelihood<F> {
+    fn dimension(&self) -> Result<Option<usize>, MessageError> {
+        Ok(None)
+    }
+
+    fn components(&self) -> usize {
+        0
+    }
+
+    fn add_log(&self, block: &[f64], log_values: &mut [f64], _residuals: &mut Residuals) -> f64 {
+        each_point(block, log_values, |point| (self.0)(point));
+        f64::INFINITY
+    }
+}
+
+/// Adds a function of the point to each log value.
+pub(crate) fn each_point(block: &[f64], log_values: &mut [f64], f: impl Fn(&[f64]) -> f64) {
+    let mut point = values(block.len() / BLOCK, 0.0);
+    for (i, log_value) in log_values.iter_mut().enumerate() {
+        point.iter_mut().enumerate().for_each(|(k, x)| *x = block[k * BLOCK + i]);
+        *log_value += f(&point);
+    }
+}

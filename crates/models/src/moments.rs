@@ -1,0 +1,155 @@
+//! Predictions and corrections of a mean and a covariance: what Gaussian filters and the motion's Gaussian rule run
+//! on.
+//!
+//! Matrices are row-major slices. The functions are inlined, so that where a caller's dimension is fixed at compile
+//! time their loops are unrolled.
+
+use crate::dual::{Lanes, differentiate};
+use crate::small::{Matrix, Vector, symmetrise};
+use crate::{Motion, Noise};
+use smallvec::SmallVec;
+use std::f64::consts::TAU;
+use sumprod_graph::MessageError;
+use sumprod_messages::Cholesky;
+
+/// The next state f(x) and the Jacobian F at `x`, by dual numbers.
+#[inline(always)]
+pub fn linearise_motion<M: Motion>(motion: &M, x: &[f64], next: &mut [f64], jacobian: &mut [f64]) {
+    differentiate(x, next, jacobian, |x: &[Lanes], out: &mut [Lanes]| motion.step(x, out));
+}
+
+/// Writes A B' for A (`rows` by d) and a symmetric B (d by d): the cross-covariance of A x with x.
+#[inline(always)]
+pub fn cross_covariance(a: &[f64], symmetric: &[f64], d: usize, out: &mut [f64]) {
+    for (a, out) in a.chunks_exact(d).zip(out.chunks_exact_mut(d)) {
+        out.fill(0.0);
+        for (a, row) in a.iter().zip(symmetric.chunks_exact(d)) {
+            for (out, b) in out.iter_mut().zip(row) {
+                *out += a * b;
+            }
+        }
+    }
+}
+
+/// Adds A B' to `out` for A and B of `inner` columns.
+#[inline(always)]
+pub fn add_product_transposed(a: &[f64], b: &[f64], inner: usize, out: &mut [f64]) {
+    let columns = b.len() / inner;
+    for (a, out) in a.chunks_exact(inner).zip(out.chunks_exact_mut(columns)) {
+        for (out, b) in out.iter_mut().zip(b.chunks_exact(inner)) {
+            *out += a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+        }
+    }
+}
+
+/// The covariance F P F' + B B' of a state moved by F x + B z, and F P, its cross-covariance with the state before.
+#[inline(always)]
+pub fn predict_covariance(
+    jacobian: &[f64],
+    covariance: &[f64],
+    noise_factor: &[f64],
+    d: usize,
+    cross: &mut [f64],
+    predicted: &mut [f64],
+) {
+    cross_covariance(jacobian, covariance, d, cross);
+    predicted.fill(0.0);
+    add_product_transposed(cross, jacobian, d, predicted);
+    let sources = noise_factor.len() / d;
+    if sources > 0 {
+        add_product_transposed(noise_factor, noise_factor, sources, predicted);
+    }
+    symmetrise(predicted, d);
+}
+
+/// A measurement made linear about a state: the residual there, its Jacobian (m by d) and the covariance (m by m) of
+/// the noise and of what the line leaves out.
+#[derive(Clone, Copy, Debug)]
+pub struct Line<'a> {
+    /// The residual at the state's mean.
+    pub value: &'a [f64],
+    /// The Jacobian, row-major.
+    pub jacobian: &'a [f64],
+    /// The covariance, row-major.
+    pub noise: &'a [f64],
+}
+
+/// The covariance to put beside a residual of this value and Jacobian at a state of this covariance P: the noise's
+/// own, divided, where the noise has heavy tails, by its weight at the squared length to expect,
+/// r'R⁻¹r + tr R⁻¹ J P J', as the residual's Gaussian rule does.
+#[inline(always)]
+pub fn noise_against(
+    noise: &Noise,
+    value: &[f64],
+    jacobian: &[f64],
+    covariance: &[f64],
+) -> SmallVec<[f64; 9]> {
+    let mut own: SmallVec<[f64; 9]> = SmallVec::from_slice(noise.covariance());
+    if noise.degrees_of_freedom().is_some() {
+        let (m, d) = (value.len(), covariance.len().isqrt());
+        let (mut cross, mut spread) = (Matrix::from_elem(0.0, m * d), Matrix::from_elem(0.0, m * m));
+        cross_covariance(jacobian, covariance, d, &mut cross);
+        add_product_transposed(&cross, jacobian, d, &mut spread);
+        let weight = noise.weight(noise.expected_squared_length(value, &spread));
+        own.iter_mut().for_each(|entry| *entry /= weight);
+    }
+    own
+}
+
+/// What a correction found.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Corrected {
+    /// log N(e; 0, S) of the residual e.
+    pub log_likelihood: f64,
+    /// S = J P J' + R, row-major.
+    pub innovation_covariance: SmallVec<[f64; 9]>,
+}
+
+/// Corrects a mean and a covariance by a line: K = P J' S⁻¹, x - K e, and (I - K J) P (I - K J)' + K R K' (Joseph).
+///
+/// # Errors
+///
+/// Where the innovation covariance S is not positive definite; mean and covariance are then as before.
+#[inline(always)]
+pub fn correct(line: Line<'_>, mean: &mut [f64], covariance: &mut [f64]) -> Result<Corrected, MessageError> {
+    let (d, m) = (mean.len(), line.value.len());
+    let mut cross = Matrix::from_elem(0.0, m * d);
+    cross_covariance(line.jacobian, covariance, d, &mut cross);
+    let mut spread: SmallVec<[f64; 9]> = SmallVec::from_slice(line.noise);
+    add_product_transposed(&cross, line.jacobian, d, &mut spread);
+    let factor = Cholesky::new(&spread, m, "the innovation covariance")?;
+    // Column by column, the gain: row k of `gain` is K's column k.
+    let mut gain = cross.clone();
+    for column in 0..d {
+        let mut solved: Vector = (0..m).map(|row| cross[row * d + column]).collect();
+        factor.solve(&mut solved);
+        solved.iter().enumerate().for_each(|(row, value)| gain[row * d + column] = *value);
+    }
+    for (gain, value) in gain.chunks_exact(d).zip(line.value) {
+        mean.iter_mut().zip(gain).for_each(|(x, gain)| *x -= gain * value);
+    }
+    // A P = P - K (J P), then (A P) A' = A P - (A P J') K', to which K R K' is added.
+    for (gain, cross) in gain.chunks_exact(d).zip(cross.chunks_exact(d)) {
+        for (row, gain) in covariance.chunks_exact_mut(d).zip(gain) {
+            row.iter_mut().zip(cross).for_each(|(p, cross)| *p -= gain * cross);
+        }
+    }
+    let mut rest = Matrix::from_elem(0.0, d * m);
+    add_product_transposed(covariance, line.jacobian, d, &mut rest);
+    for (row, rest) in rest.chunks_exact_mut(m).enumerate() {
+        for (k, rest) in rest.iter_mut().enumerate() {
+            let noise: f64 = (0..m).map(|j| gain[j * d + row] * line.noise[j * m + k]).sum();
+            *rest = noise - *rest;
+        }
+    }
+    for (row, rest) in covariance.chunks_exact_mut(d).zip(rest.chunks_exact(m)) {
+        for (rest, gain) in rest.iter().zip(gain.chunks_exact(d)) {
+            row.iter_mut().zip(gain).for_each(|(p, gain)| *p += rest * gain);
+        }
+    }
+    symmetrise(covariance, d);
+    let mut innovation = Vector::from_slice(line.value);
+    let squared = factor.squared_length(&mut innovation);
+    let log_likelihood = -0.5 * (squared + factor.log_determinant() + m as f64 * TAU.ln());
+    Ok(Corrected { log_likelihood, innovation_covariance: spread })
+}
