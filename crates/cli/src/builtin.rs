@@ -17,6 +17,7 @@ pub const BUILTINS: &[Builtin] = &[
     Builtin { name: "coop-c100", text: include_str!("../scenarios/coop-c100.toml") },
     Builtin { name: "mrclam", text: include_str!("../scenarios/mrclam.toml") },
     Builtin { name: "plaza", text: include_str!("../scenarios/plaza.toml") },
+    Builtin { name: "product", text: include_str!("../scenarios/product.toml") },
     #[cfg(test)]
     Builtin { name: "walk", text: include_str!("testing/walk.toml") },
 ];

@@ -2,6 +2,7 @@
 
 use sumprod_positioning::cooperation::Cooperation;
 use sumprod_positioning::pmpa::PMpa;
+use sumprod_positioning::product::Product;
 use sumprod_positioning::robots::mrclam::Mrclam;
 use sumprod_positioning::robots::plaza::Plaza;
 use sumprod_positioning::scenario::Scenario;
@@ -24,6 +25,7 @@ pub const SYSTEMS: &[&str] = &[
     Cooperation::SYSTEM,
     Mrclam::SYSTEM,
     Plaza::SYSTEM,
+    Product::SYSTEM,
     #[cfg(test)]
     crate::testing::Walk::SYSTEM,
 ];
@@ -35,6 +37,7 @@ pub fn dispatch<A: Action>(document: &Document, action: A) -> Result<A::Output, 
         Cooperation::SYSTEM => action.on::<Cooperation>(document),
         Mrclam::SYSTEM => action.on::<Mrclam>(document),
         Plaza::SYSTEM => action.on::<Plaza>(document),
+        Product::SYSTEM => action.on::<Product>(document),
         #[cfg(test)]
         crate::testing::Walk::SYSTEM => action.on::<crate::testing::Walk>(document),
         unknown => {

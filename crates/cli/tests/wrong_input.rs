@@ -113,6 +113,17 @@ fn numbers_that_cannot_be_are_refused_with_their_key() {
 }
 
 #[test]
+fn a_file_of_mixtures_that_is_none_is_refused_before_the_output_folder_is_made() {
+    let file = File::new("mixtures", r#"{"dimension": 1, "mixtures": []}"#);
+    let out = std::env::temp_dir().join(format!("sumprod-{}-no-product", std::process::id()));
+    let out = out.to_str().expect("a path in UTF-8");
+    let message = refused(&["run", "product", "--data", file.name(), "--out", out]);
+    assert!(message.contains(&format!("{}: `mixtures` is empty", file.name())), "{message}");
+    assert_eq!(message.lines().count(), 1, "{message}");
+    assert!(!PathBuf::from(out).exists());
+}
+
+#[test]
 fn a_network_that_nothing_fixes_says_what_would() {
     for verb in ["run", "check"] {
         let message = refused(&[verb, "coop-c3", "--set", "world.anchors=[]", "--set", "world.prior=false"]);

@@ -9,6 +9,7 @@
 //! | [`form`] | how scenario files spell the form of an edge |
 //! | [`cooperation`] | agents that locate themselves by ranges to each other and to anchors |
 //! | [`pmpa`] | one target among known nodes: Kalman, particle and message-passing filters |
+//! | [`product`] | products of recorded mixtures, by several methods |
 //! | [`robots`] | robots located on recorded data |
 //! | [`error`] | the crate's error |
 
@@ -19,6 +20,7 @@ pub mod error;
 pub mod form;
 pub mod metrics;
 pub mod pmpa;
+pub mod product;
 pub mod results;
 pub mod robots;
 pub mod scenario;
