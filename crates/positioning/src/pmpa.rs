@@ -6,7 +6,8 @@
 //! | `kf` | position and velocity | itself | Gaussian | Gaussian |
 //! | `pf` | position and velocity | itself | particles | particles |
 //! | `pa-mpa-literal` | position, velocity frozen | itself, neighbours | Gaussian | Gaussian |
-//! | `p-mpa` | position and velocity | itself, neighbours | particles, optimal proposal | Gaussian |
+//! | `p-mpa` | position and velocity | itself, neighbours | particles, optimal proposal | Gaussian; ranges rings of kernels, in a product by Gibbs sampling |
+//! | `p-mpa-literal` | position and velocity | itself, neighbours | particles with kernels | particles with kernels, in the printed product |
 //! | `kf-all` | position and velocity | itself, neighbours | Gaussian | Gaussian |
 //! | `pf-all` | position and velocity | itself, neighbours | particles | particles |
 //!
@@ -15,6 +16,7 @@
 
 pub mod bound;
 mod filter;
+mod kernels;
 pub mod method;
 pub mod world;
 
@@ -23,10 +25,10 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use crate::error::PositioningError;
-use crate::form::FormSpec;
 use crate::results::{Anchor, BoundStep, MethodRun, RunResult};
 use crate::scenario::{FormUse, GraphSummary, Methods, RunRequest, Scenario};
 use filter::Filter;
+use kernels::KernelFilter;
 use method::MethodSettings;
 use world::{World, WorldSettings};
 
@@ -46,7 +48,7 @@ impl PMpa {
             method: id.to_owned(),
             known: self.method.ids(),
         })?;
-        method.admit(id, self.world.neighbour_measurement)?;
+        method.admit(id, &self.world)?;
         Ok(method)
     }
 
@@ -92,6 +94,9 @@ impl Scenario for PMpa {
         for (id, method) in wanted.iter().zip(chosen) {
             let seed = request.method_seed(id);
             let mut done = MethodRun::timed(id, filter::layout(method), |out| {
+                if let Some(rule) = method.kernel_rule(self.world.neighbour_measurement) {
+                    return KernelFilter::new(&self.world, method, rule, &world, seed).run(out);
+                }
                 Filter::new(&self.world, method, &world, seed)
                     .map_err(|error| PositioningError::method(id, error))?
                     .run(out)
@@ -141,11 +146,7 @@ impl PMpa {
             loops: graph.loop_count(),
             forms: forms
                 .into_iter()
-                .map(|(kind, form, edges)| FormUse {
-                    kind: kind.to_owned(),
-                    form: FormSpec(form).to_string(),
-                    edges,
-                })
+                .map(|(kind, form, edges)| FormUse { kind: kind.to_owned(), form, edges })
                 .collect(),
             unconstrained: Vec::new(),
         })

@@ -15,10 +15,11 @@ use sumprod_models::library::{AnchorOffset, AnchorRange, ConstantVelocity};
 use sumprod_models::{Model, Motion, Noise, ProcessNoise, Real, ResidualModel, Transition};
 use sumprod_optimizers::Reselection;
 
-use super::method::{MethodSettings, StateModel};
+use super::method::{KernelRule, MethodSettings, StateModel};
 use super::world::{Measured, World, WorldSettings};
 use crate::costs::Costs;
 use crate::error::PositioningError;
+use crate::form::FormSpec;
 use crate::results::{MethodRun, StateLayout};
 
 type SharedFactor = Arc<dyn Factor<AnyMessage>>;
@@ -283,22 +284,32 @@ fn chains(settings: &WorldSettings, method: &MethodSettings) -> Result<Vec<Chain
     }
 }
 
-/// Forms of the edges of a scan by kind, with their number.
+/// Forms of the edges of a scan by kind, in words, with their number.
 pub(super) fn form_uses(
     method: &MethodSettings,
     settings: &WorldSettings,
     world: &World,
     step: usize,
-) -> Vec<(&'static str, AnyForm, usize)> {
+) -> Vec<(&'static str, String, usize)> {
     let chains = if method.state == StateModel::FrozenVelocity { 2 } else { 1 };
-    let mut uses = vec![(PREDICTION, method.prediction_form(), 2 * chains)];
+    let measurement = settings.neighbour_measurement;
+    let rule = method.kernel_rule(measurement);
+    let count = method.kernel_count();
+    let described = |form: AnyForm, known: String| match rule {
+        None => FormSpec(form).to_string(),
+        Some(KernelRule::Known) => known,
+        Some(KernelRule::Printed) => format!("mixture {count} (product literal)"),
+    };
+    let product = method.kernel_product().name();
+    let prediction = format!("mixture {count} (product {product})");
+    let mut uses = vec![(PREDICTION, described(method.prediction_form(), prediction), 2 * chains)];
     if method.z_self {
-        uses.push((OWN, method.own_form(), chains));
+        uses.push((OWN, described(method.own_form(), "gaussian".into()), chains));
     }
     if method.neighbours {
-        let measurement = settings.neighbour_measurement;
-        let count = chains * world.hearings[step - 1].len();
-        uses.push((measurement.kind(), method.neighbour_form(measurement), count));
+        let heard = chains * world.hearings[step - 1].len();
+        let ring = format!("mixture, a ring of kernels (product {product})");
+        uses.push((measurement.kind(), described(method.neighbour_form(measurement), ring), heard));
     }
     uses
 }

@@ -9,6 +9,7 @@ use super::super::Mixture;
 use super::chains::Chains;
 use super::gibbs::{Gibbs, warn_of_few_sweeps, warn_of_stuck_labels};
 use super::{GibbsStart, Product, ProductMethod, check};
+use crate::Particles;
 use sumprod_graph::{MessageError, Stream};
 
 /// The printed form of the product. It is no consistent estimate of anything: the kernels grow with N.
@@ -29,6 +30,48 @@ impl Default for Literal {
     }
 }
 
+impl Literal {
+    /// One point a chain, and the labels that the chains ended in, chain by chain, one a mixture; nothing is said of
+    /// the quality, so that mixtures which hardly meet are multiplied as well.
+    ///
+    /// # Errors
+    ///
+    /// Where there are fewer than two inputs or no sample, or the inputs differ in their coordinates.
+    pub fn chains(
+        &self,
+        inputs: &[&Mixture],
+        samples: usize,
+        stream: &mut Stream,
+    ) -> Result<(Particles, Vec<u32>), MessageError> {
+        let first = check(inputs, samples)?;
+        let printed = printed(inputs)?;
+        let mut random = stream.fast();
+        let mut state = Chains::new(printed.iter());
+        let (labels, _) = self.sampler().run(&mut state, samples, self.counted_twice, &mut random)?;
+        let mut points = Vec::with_capacity(samples * first.dimension());
+        for chain in labels.chunks_exact(inputs.len()) {
+            state.draw(chain, &mut random, &mut points)?;
+        }
+        Ok((Particles::equally_weighted(&first.space(), points)?, labels))
+    }
+
+    fn sampler(&self) -> Gibbs {
+        Gibbs { sweeps: self.sweeps, start: self.start }
+    }
+}
+
+/// The inputs with the printed kernels.
+fn printed(inputs: &[&Mixture]) -> Result<Vec<Mixture>, MessageError> {
+    let printed = inputs.iter().map(|input| {
+        let d = input.dimension();
+        let variance = (input.len() as f64).powf(1.0 / 6.0);
+        let kernel = (0..d * d).map(|entry| if entry % (d + 1) == 0 { variance } else { 0.0 }).collect();
+        let weights = input.log_weights().to_vec();
+        Mixture::with_shared_covariance(&input.space(), weights, input.means().to_vec(), kernel)
+    });
+    printed.collect()
+}
+
 impl ProductMethod for Literal {
     fn name(&self) -> &'static str {
         "literal"
@@ -40,26 +83,14 @@ impl ProductMethod for Literal {
         samples: usize,
         stream: &mut Stream,
     ) -> Result<Product, MessageError> {
-        let first = check(inputs, samples)?;
-        let d = first.dimension();
-        let printed: Result<Vec<Mixture>, MessageError> = inputs
-            .iter()
-            .map(|input| {
-                let variance = (input.len() as f64).powf(1.0 / 6.0);
-                let kernel =
-                    (0..d * d).map(|entry| if entry % (d + 1) == 0 { variance } else { 0.0 }).collect();
-                let weights = input.log_weights().to_vec();
-                Mixture::with_shared_covariance(&input.space(), weights, input.means().to_vec(), kernel)
-            })
-            .collect();
-        let printed = printed?;
+        check(inputs, samples)?;
+        let printed = printed(inputs)?;
         if let [only] = printed.as_slice() {
             return super::Exact::default().product(&[only], samples, stream);
         }
         let mut random = stream.fast();
         let mut state = Chains::new(printed.iter());
-        let sampler = Gibbs { sweeps: self.sweeps, start: self.start };
-        let (labels, change) = sampler.run(&mut state, samples, self.counted_twice, &mut random)?;
+        let (labels, change) = self.sampler().run(&mut state, samples, self.counted_twice, &mut random)?;
         let mut product = state.finish(self.name(), &labels, change, &mut random)?;
         // The quality is measured against the product of the printed kernels; no normaliser of the inputs' own.
         product.log_normaliser = None;
