@@ -3,12 +3,17 @@
 //! The cases of the peers' workload W5: two thousand points of the product of L mixtures of N equal kernels, one
 //! covariance a mixture, in d dimensions. Distance is the largest Kolmogorov-Smirnov distance of a marginal to the
 //! truth on a grid; two thousand independent exact points score about 0.019. Times are of the processor, one thread,
-//! median of the repeats. The peers' published figures stand beside them.
+//! median of the repeats. The peers' figures stand beside them: published ones, but those that
+//! `benches/beside-peers` has measured just before (`$PEERS_DIR/w5.jsonl`), which are marked "now". Ihler's toolbox is
+//! never among these.
 //!
 //! `cargo bench --bench product [-- cases|growth] [d=1] [L=3] [N=1000] [auto]`
 //!
 //! Where $PEERS_DIR/w5data holds the peers' own data (`d_L_N.txt`, centres by mixture and then the kernels' widths),
 //! that is used; else data of the same law.
+//!
+//! The last lines say in how many cases `auto` is on the front, and how many times faster than each peer the fastest
+//! of our methods is whose distance is at most the peer's, ties within 0.02.
 
 use rand::{RngExt, SeedableRng};
 use rand_distr::{Distribution, StandardNormal};
@@ -23,7 +28,11 @@ type Fallible<T> = Result<T, Box<dyn std::error::Error>>;
 
 const SAMPLES: usize = 2000;
 
-/// Peers: d, L, N, then milliseconds and distance of the importance, Gibbs, best multiscale and exact ones.
+/// Names of the peers: what they are called here, and in the file of those measured just before.
+const PEER_NAMES: [(&str, &str); 4] =
+    [("importance", "mix-is"), ("gibbs", "gibbs-numba-10"), ("multiscale", ""), ("exact", "exact-enum")];
+
+/// Peers: d, L, N, then milliseconds and distance in the order of the names; of several settings the nearest.
 type Peer = (usize, usize, usize, [Option<(f64, f64)>; 4]);
 
 const PEERS: &[Peer] = &[
@@ -62,16 +71,18 @@ fn main() -> Fallible<()> {
         .collect();
     if wants("cases") {
         println!("milliseconds / distance; * marks the front (nothing faster is as near, within 0.02)");
+        let mut standing = Standing::default();
         for d in [1, 2] {
             for count in [2, 3, 5, 8] {
                 for size in [100, 200, 500, 1000, 5000] {
                     let keeps = |key, value| only(key).is_none_or(|wanted| wanted == value);
                     if keeps("d", d) && keeps("L", count) && keeps("N", size) {
-                        case(d, count, size, &methods)?;
+                        case(d, count, size, &methods, &mut standing)?;
                     }
                 }
             }
         }
+        standing.print();
     }
     if wants("growth") {
         growth()?;
@@ -97,7 +108,39 @@ fn all_names() -> Vec<&'static str> {
     methods().iter().map(|(method, _)| method.name()).collect()
 }
 
-fn case(d: usize, count: usize, size: usize, methods: &[(Box<dyn ProductMethod>, f64)]) -> Fallible<()> {
+/// How the cases went.
+#[derive(Default)]
+struct Standing {
+    cases: usize,
+    /// Cases in which `auto` is on the front.
+    front: usize,
+    /// By peer, how many times slower than ours at its distance it was in each case, and the case.
+    ratios: [Vec<(f64, String)>; 4],
+}
+
+impl Standing {
+    fn print(&mut self) {
+        println!("auto is on the front in {} of {} cases", self.front, self.cases);
+        for ((name, _), ratios) in PEER_NAMES.iter().zip(&mut self.ratios) {
+            ratios.sort_by(|a, b| a.0.total_cmp(&b.0));
+            if let (Some(least), Some(median)) = (ratios.first(), ratios.get(ratios.len() / 2)) {
+                let (cases, (ratio, case)) = (ratios.len(), least);
+                println!(
+                    "peer {name}: {cases} cases, at least {ratio:.1} times slower ({case}), median {:.0}",
+                    median.0
+                );
+            }
+        }
+    }
+}
+
+fn case(
+    d: usize,
+    count: usize,
+    size: usize,
+    methods: &[(Box<dyn ProductMethod>, f64)],
+    standing: &mut Standing,
+) -> Fallible<()> {
     let inputs = data(d, count, size)?;
     let references: Vec<&Mixture> = inputs.iter().collect();
     let truth = Truth::new(&inputs);
@@ -134,25 +177,54 @@ fn case(d: usize, count: usize, size: usize, methods: &[(Box<dyn ProductMethod>,
         }
         rows.push((method.name(), median(&mut seconds) * 1e3, median(&mut distances), chosen));
     }
-    let peer = PEERS.iter().find(|peer| (peer.0, peer.1, peer.2) == (d, count, size));
-    let peers = peer.map(|peer| peer.3).unwrap_or_default();
-    let mut others: Vec<(f64, f64)> = rows.iter().map(|row| (row.1, row.2)).collect();
-    others.extend(peers.iter().flatten());
+    let published = PEERS.iter().find(|peer| (peer.0, peer.1, peer.2) == (d, count, size));
+    let now = measured(d, count, size)?;
+    let peers: [(Option<(f64, f64)>, bool); 4] =
+        std::array::from_fn(|i| (now[i].or(published.and_then(|peer| peer.3[i])), now[i].is_some()));
     print!("{d},{count},{size}");
+    standing.cases += 1;
+    let mut others: Vec<(f64, f64)> = rows.iter().map(|row| (row.1, row.2)).collect();
+    others.extend(peers.iter().filter_map(|(figure, _)| *figure));
     for (name, time, distance, chosen) in &rows {
-        // A tenth is the noise of timing; `auto` costs what it chose.
+        // A tenth is the noise of timing; `auto` costs what it chose, and looking.
         let ahead = |other: &(f64, f64)| other.0 < 0.9 * time && other.1 <= distance + 0.02;
-        let mark = if others.iter().any(ahead) { "" } else { "*" };
+        let front = !others.iter().any(ahead);
+        standing.front += usize::from(front && *name == "auto");
+        let mark = if front { "*" } else { "" };
         let chosen = if chosen == name { String::new() } else { format!(" ({chosen})") };
         print!(" | {name}{chosen} {time:.3}/{distance:.3}{mark}");
     }
-    for (name, figure) in ["importance", "gibbs", "multiscale", "exact"].iter().zip(peers) {
-        if let Some((time, distance)) = figure {
-            print!(" | peer {name} {time}/{distance}");
-        }
+    for (i, (figure, now)) in peers.iter().enumerate() {
+        let Some((time, distance)) = figure else { continue };
+        let now = if *now { "now " } else { "" };
+        print!(" | peer {} {now}{time:.2}/{distance:.3}", PEER_NAMES[i].0);
+        let as_near = rows.iter().filter(|row| row.2 <= distance + 0.02).map(|row| row.1);
+        let ours = as_near.fold(f64::INFINITY, f64::min);
+        standing.ratios[i].push((time / ours, format!("{d},{count},{size}")));
     }
     println!();
     Ok(())
+}
+
+/// Milliseconds and distance of the peers that were measured just before, in the order of the names.
+fn measured(d: usize, count: usize, size: usize) -> Fallible<[Option<(f64, f64)>; 4]> {
+    let folder = std::env::var("PEERS_DIR").unwrap_or_default();
+    let mut found = [None; 4];
+    let Ok(text) = std::fs::read_to_string(std::path::PathBuf::from(folder).join("w5.jsonl")) else {
+        return Ok(found);
+    };
+    for line in text.lines().filter(|line| line.starts_with('{')) {
+        let row: serde_json::Value = serde_json::from_str(line)?;
+        let is = |key: &str, value: usize| row[key].as_u64() == Some(value as u64);
+        let place = PEER_NAMES.iter().position(|(_, name)| row["peer"].as_str() == Some(name));
+        let figures = (row["cpu_med"].as_f64(), row["ks"].as_f64());
+        if let (true, Some(place), (Some(seconds), Some(distance))) =
+            (is("d", d) && is("L", count) && is("N", size), place, figures)
+        {
+            found[place] = Some((1e3 * seconds, distance));
+        }
+    }
+    Ok(found)
 }
 
 /// Time of the multiscale product against the size of its inputs.

@@ -304,7 +304,8 @@ pub(super) fn form_uses(
     let prediction = format!("mixture {count} (product {product})");
     let mut uses = vec![(PREDICTION, described(method.prediction_form(), prediction), 2 * chains)];
     if method.z_self {
-        uses.push((OWN, described(method.own_form(), "gaussian".into()), chains));
+        let own = if rule.is_some() { AnyForm::gaussian() } else { method.own_form() };
+        uses.push((OWN, FormSpec(own).to_string(), chains));
     }
     if method.neighbours {
         let heard = chains * world.hearings[step - 1].len();

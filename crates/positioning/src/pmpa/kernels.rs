@@ -3,7 +3,7 @@
 //! | message | known kernels | printed kernels |
 //! |---|---|---|
 //! | prediction | at F xᵢ, variance Q T⁴/4 | at drawn F xᵢ + G u, variance N^(1/6) |
-//! | of itself | one Gaussian, variance R | N draws about it, N^(1/6) |
+//! | of itself | one Gaussian, variance R | the same |
 //! | relative | one Gaussian about p_j + z, R | N draws about it, N^(1/6) |
 //! | range | evenly on the circle about p_j, R | N draws: distance N(z, R), any angle; N^(1/6) |
 //! | velocity | given the position: vᵢ + (2/T)(p - F xᵢ) | copied from the chosen prediction |
@@ -181,7 +181,8 @@ impl<'a> KernelFilter<'a> {
         // The product puts the printed kernels in the place of whatever variance is given here.
         let mut messages = vec![self.prediction(1.0)?];
         if self.method.z_self {
-            messages.push(kernels(about(self.world.fixes[step - 1], &mut random), 1.0)?);
+            let own = self.world.fixes[step - 1].to_vec();
+            messages.push(kernels(own, self.settings.measurement_variance)?);
         }
         for hearing in self.heard(step) {
             let node = self.world.nodes[hearing.node];

@@ -1,7 +1,8 @@
 //! The product as the paper of P-MPA prints it, kept to be compared with.
 //!
 //! Fan, Wang, Zhou (2018), "Cooperative positioning based on message passing", section 2.3.2: every kernel has the
-//! variance N^(1/6) (in squared units of the state, whatever the kernels' own covariances), chains start with
+//! variance N^(1/6) (in squared units of the state, whatever the kernels' own covariances; a mixture of one component,
+//! which no particles stand for, keeps its own), chains start with
 //! independent labels, and the new label is weighted by ω N(x; μ̄, σ̄) N(x; μ_j, σ_j) / N(x; μ̄ⁱ, σ̄ⁱ) with (μ̄, σ̄) the
 //! product of all chosen kernels, so that the kernel to be replaced is counted as well.
 
@@ -60,9 +61,12 @@ impl Literal {
     }
 }
 
-/// The inputs with the printed kernels.
+/// The inputs with the printed kernels; a Gaussian is no sample and stays what it is.
 fn printed(inputs: &[&Mixture]) -> Result<Vec<Mixture>, MessageError> {
     let printed = inputs.iter().map(|input| {
+        if input.len() == 1 {
+            return Ok((*input).clone());
+        }
         let d = input.dimension();
         let variance = (input.len() as f64).powf(1.0 / 6.0);
         let kernel = (0..d * d).map(|entry| if entry % (d + 1) == 0 { variance } else { 0.0 }).collect();
