@@ -9,6 +9,25 @@ pub struct Quality {
     pub effective_sample_size: Option<f64>,
     /// Divergence (nats) that conversions between families have cost on the way to this message.
     pub conversion_loss: Option<f64>,
+    /// Number of components of a mixture.
+    pub components: Option<usize>,
+    /// How the product was found, where there was a choice.
+    pub product: Option<ProductOutcome>,
+}
+
+/// How a product of messages was found, and how good it is.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct ProductOutcome {
+    /// Name of the method.
+    pub method: &'static str,
+    /// Share of the labels that the last sweep of a sampler changed: near zero where it is stuck.
+    pub label_change: Option<f64>,
+    /// Divergence (nats) from the exact product, or its estimate.
+    pub divergence: Option<f64>,
+    /// The most modes that a factor of the product has, where they were looked for.
+    pub modes_before: Option<usize>,
+    /// Number of modes of the product, where they were looked for.
+    pub modes_after: Option<usize>,
 }
 
 /// The messages into one variable: its prior, if any, and one per edge.

@@ -3,17 +3,24 @@
 //! A product of messages in different forms is taken in the belief's form:
 //!
 //! - a **Gaussian** belief reads particles by their moments, and reports what that cost;
-//! - a **particle** belief keeps its points and weighs them by each Gaussian message, which costs nothing; where
-//!   there are no points yet it draws them from the product of the Gaussian messages.
+//! - a **particle** belief keeps its points and weighs them by each Gaussian or mixture, which costs nothing; where
+//!   there are no points yet it draws them from the product of those;
+//! - a **mixture** belief reads Gaussians as they are, and a sample by kernels, and reports what that cost.
+//!
+//! A family says in one place how the others read it (`Held`), and the enums below list it.
 
 mod convert;
 mod family;
+mod held;
+mod mixture;
 mod product;
 
 pub use family::ParticleFamily;
 
+use crate::mixture::{MixtureForm, MixtureMessage};
 use crate::{DynamicGaussian, GaussianForm, Moments, Particles, ParticlesForm};
-use convert::{gaussian_to_particles, log_value, no_distribution, particles_to_gaussian};
+use convert::no_distribution;
+use held::Held;
 use product::{gaussian_product, particle_product};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -27,6 +34,8 @@ pub enum AnyForm {
     Gaussian(GaussianForm),
     /// Weighted particles.
     Particles(ParticlesForm),
+    /// A mixture of Gaussians.
+    Mixture(MixtureForm),
 }
 
 impl Default for AnyForm {
@@ -46,11 +55,17 @@ impl AnyForm {
         Self::Particles(ParticlesForm::new(count))
     }
 
+    /// A mixture of at most `components` Gaussians.
+    pub fn mixture(components: usize) -> Self {
+        Self::Mixture(MixtureForm::new(components))
+    }
+
     /// The name of the family.
     pub fn name(&self) -> &'static str {
         match self {
             Self::Gaussian(_) => "gaussian",
             Self::Particles(_) => "particles",
+            Self::Mixture(_) => "mixture",
         }
     }
 
@@ -58,6 +73,7 @@ impl AnyForm {
         match self {
             Self::Gaussian(_) => 0,
             Self::Particles(form) => form.count,
+            Self::Mixture(form) => form.components,
         }
     }
 }
@@ -69,6 +85,18 @@ pub enum AnyValue {
     Gaussian(DynamicGaussian),
     /// Weighted particles.
     Particles(Particles),
+    /// A mixture of Gaussians.
+    Mixture(MixtureMessage),
+}
+
+impl AnyValue {
+    fn held(&self) -> &dyn Held {
+        match self {
+            Self::Gaussian(gaussian) => gaussian,
+            Self::Particles(particles) => particles,
+            Self::Mixture(mixture) => mixture,
+        }
+    }
 }
 
 impl Clone for AnyValue {
@@ -76,6 +104,7 @@ impl Clone for AnyValue {
         match self {
             Self::Gaussian(gaussian) => Self::Gaussian(gaussian.clone()),
             Self::Particles(particles) => Self::Particles(particles.clone()),
+            Self::Mixture(mixture) => Self::Mixture(mixture.clone()),
         }
     }
 
@@ -139,6 +168,12 @@ impl AnyMessage {
         Self { value: AnyValue::Particles(particles), coordinates, loss: None }
     }
 
+    /// A message held by a mixture.
+    pub fn from_mixture(mixture: MixtureMessage) -> Self {
+        let coordinates = mixture.coordinates().into();
+        Self { value: AnyValue::Mixture(mixture), coordinates, loss: None }
+    }
+
     /// The message in its family.
     pub fn value(&self) -> &AnyValue {
         &self.value
@@ -148,7 +183,15 @@ impl AnyMessage {
     pub fn particles(&self) -> Option<&Particles> {
         match &self.value {
             AnyValue::Particles(particles) => Some(particles),
-            AnyValue::Gaussian(_) => None,
+            _ => None,
+        }
+    }
+
+    /// The mixture, where it is held by one.
+    pub fn mixture(&self) -> Option<&MixtureMessage> {
+        match &self.value {
+            AnyValue::Mixture(mixture) => Some(mixture),
+            _ => None,
         }
     }
 
@@ -162,6 +205,7 @@ impl AnyMessage {
             AnyValue::Gaussian(gaussian) => gaussian.moments(),
             AnyValue::Particles(particles) if particles.is_proper() => Ok(particles.moments()),
             AnyValue::Particles(_) => Err(no_distribution()),
+            AnyValue::Mixture(mixture) => mixture.moments(),
         }
     }
 
@@ -171,10 +215,7 @@ impl AnyMessage {
     ///
     /// Where particles are a likelihood, which has no moments of its own.
     pub fn to_gaussian(&self) -> Result<(DynamicGaussian, f64), MessageError> {
-        match &self.value {
-            AnyValue::Gaussian(gaussian) => Ok((gaussian.clone(), 0.0)),
-            AnyValue::Particles(particles) => particles_to_gaussian(particles),
-        }
+        self.value.held().to_gaussian()
     }
 
     /// The message as a sample of `count` particles, and the divergence (nats) that costs.
@@ -183,10 +224,16 @@ impl AnyMessage {
     ///
     /// Where a Gaussian is improper.
     pub fn to_particles(&self, count: usize, stream: &mut Stream) -> Result<(Particles, f64), MessageError> {
-        match &self.value {
-            AnyValue::Particles(particles) => Ok((particles.clone(), 0.0)),
-            AnyValue::Gaussian(gaussian) => gaussian_to_particles(gaussian, &self.coordinates, count, stream),
-        }
+        self.value.held().to_particles(&self.coordinates, count, stream)
+    }
+
+    /// The message as a mixture of this form, and the divergence (nats) that costs.
+    ///
+    /// # Errors
+    ///
+    /// Where particles are a likelihood.
+    pub fn to_mixture(&self, form: &MixtureForm) -> Result<(MixtureMessage, f64), MessageError> {
+        self.value.held().to_mixture(&self.coordinates, form)
     }
 
     fn lose(&mut self, loss: f64) {
@@ -234,6 +281,7 @@ impl Message for AnyMessage {
         match form {
             AnyForm::Gaussian(_) => gaussian_product(incoming, out),
             AnyForm::Particles(form) => particle_product(incoming, form, stream, out),
+            AnyForm::Mixture(form) => mixture::product(incoming, form, stream, out),
         }
     }
 
@@ -260,20 +308,25 @@ impl Message for AnyMessage {
                 let quotient = belief.quotient(message);
                 quotient.map(|quotient| out.value = AnyValue::Particles(quotient)).is_some()
             }
-            (AnyValue::Particles(belief), AnyValue::Gaussian(message)) => {
+            (AnyValue::Particles(belief), message) => {
                 let mut quotient = belief.clone();
                 for (log, point) in
                     quotient.log_weights.iter_mut().zip(belief.points().chunks_exact(belief.dimension()))
                 {
-                    *log -= log_value(message, &self.coordinates, point);
+                    *log -= message.held().log_value(&self.coordinates, point).unwrap_or(0.0);
                 }
                 let divided = quotient.normalise("the quotient of messages").is_ok();
                 out.value = AnyValue::Particles(quotient);
                 divided
             }
-            (AnyValue::Gaussian(_), AnyValue::Particles(message)) => {
-                out.value.clone_from(&self.value);
-                message.is_empty()
+            (AnyValue::Mixture(belief), message) if !matches!(message, AnyValue::Particles(_)) => {
+                let read = message.held().to_mixture(&self.coordinates, &MixtureForm::new(usize::MAX));
+                let quotient = read.ok().and_then(|(message, _)| belief.quotient(&message));
+                quotient.map(|quotient| out.value = AnyValue::Mixture(quotient)).is_some()
+            }
+            (own, message) => {
+                out.value.clone_from(own);
+                message.held().is_vacuous()
             }
         }
     }
@@ -282,6 +335,7 @@ impl Message for AnyMessage {
         match (&self.value, &previous.value) {
             (AnyValue::Gaussian(new), AnyValue::Gaussian(old)) => new.change(old),
             (AnyValue::Particles(new), AnyValue::Particles(old)) => new.change(old),
+            (AnyValue::Mixture(new), AnyValue::Mixture(old)) => new.change(old),
             _ => 1.0,
         }
     }
@@ -290,8 +344,8 @@ impl Message for AnyMessage {
         match (&mut self.value, &previous.value) {
             (AnyValue::Gaussian(new), AnyValue::Gaussian(old)) => new.damp(old, damping),
             (AnyValue::Particles(new), AnyValue::Particles(old)) => new.damp(old, damping),
-            (AnyValue::Particles(_), AnyValue::Gaussian(old)) => old.is_flat(),
-            (AnyValue::Gaussian(_), AnyValue::Particles(old)) => old.is_empty(),
+            (AnyValue::Mixture(new), AnyValue::Mixture(old)) => new.damp(old, damping),
+            (_, old) => old.held().is_vacuous(),
         }
     }
 
@@ -299,6 +353,7 @@ impl Message for AnyMessage {
         match form {
             AnyForm::Gaussian(form) => DynamicGaussian::check_form(form, space),
             AnyForm::Particles(form) => Particles::check_form(form, space),
+            AnyForm::Mixture(form) => MixtureMessage::check_form(form, space),
         }
     }
 
@@ -313,15 +368,15 @@ impl Message for AnyMessage {
     }
 
     fn is_proper(&self) -> bool {
-        match &self.value {
-            AnyValue::Gaussian(gaussian) => gaussian.is_proper(),
-            AnyValue::Particles(particles) => particles.is_proper(),
-        }
+        self.value.held().is_distribution()
     }
 
     fn quality(&self) -> Quality {
-        let effective_sample_size =
-            self.particles().and_then(|particles| particles.quality().effective_sample_size);
-        Quality { effective_sample_size, conversion_loss: self.loss }
+        let own = self.value.held().known_quality();
+        let conversion_loss = match (own.conversion_loss, self.loss) {
+            (Some(own), Some(more)) => Some(own + more),
+            (own, more) => own.or(more),
+        };
+        Quality { conversion_loss, ..own }
     }
 }

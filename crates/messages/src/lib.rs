@@ -5,7 +5,7 @@
 //! | [`Gaussian`] | information form, dimension fixed at compile time | addition | subtraction |
 //! | [`DynamicGaussian`] | the same, dimension chosen at run time; no heap up to five | addition | subtraction |
 //! | [`Particles`] | points with log weights | on one support, else by kernels | on one support |
-//! | [`Mixture`] | weighted Gaussians, one covariance each or one for all | by a [`ProductMethod`] | no |
+//! | [`MixtureMessage`] | a [`Mixture`] of Gaussians, or a [`Potential`] that leaves directions open | by a [`ProductMethod`] | by one Gaussian |
 //! | [`AnyMessage`] | any of these, by the form of each edge | in the form of the belief | where both can |
 //!
 //! Adding a family to the mix touches its own file and [`AnyMessage`] alone.
@@ -26,9 +26,9 @@ pub use dynamic::DynamicGaussian;
 pub use gaussian::{Gaussian, GaussianFamily, GaussianForm, Linearisation};
 pub use kernel::floor_diagonal;
 pub use mixture::{
-    AnnealedGibbs, Auto, Bandwidth, Evaluator, Exact, GaussianImportance, Gibbs, GibbsStart, Literal,
-    Mixture, MixtureImportance, Mode, MultiscaleGibbs, Pairwise, Pointwise, Product, ProductChoice,
-    ProductMethod, ProductQuality, modes,
+    AnnealedGibbs, Auto, Bandwidth, BandwidthChoice, Evaluator, Exact, GaussianImportance, Gibbs, GibbsStart,
+    Literal, Mixture, MixtureFamily, MixtureForm, MixtureImportance, MixtureMessage, Mode, MultiscaleGibbs,
+    Pairwise, Pointwise, Potential, Product, ProductChoice, ProductMethod, ProductQuality, modes,
 };
 pub use moments::{Moments, gaussian_divergence};
 pub use particles::{Particles, ParticlesForm, Proposal, Role};

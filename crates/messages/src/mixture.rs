@@ -6,19 +6,31 @@
 
 mod bandwidth;
 mod condense;
+mod conversion;
 mod density;
+mod family;
+mod form;
 mod kernels;
+mod lift;
+mod message;
 mod modes;
+mod potential;
 mod product;
 mod record;
 mod reduction;
 mod sample;
 mod small;
+mod times;
 mod tree;
 
 pub use bandwidth::Bandwidth;
+pub(crate) use conversion::drawn_loss;
 pub use density::Evaluator;
+pub use family::MixtureFamily;
+pub use form::{BandwidthChoice, MixtureForm};
+pub use message::MixtureMessage;
 pub use modes::{Mode, modes};
+pub use potential::Potential;
 pub use product::{
     AnnealedGibbs, Auto, Exact, GaussianImportance, Gibbs, GibbsStart, Literal, MixtureImportance,
     MultiscaleGibbs, Pairwise, Pointwise, Product, ProductChoice, ProductMethod, ProductQuality,
@@ -319,63 +331,6 @@ impl Mixture {
             logs.push(self.log_weights[i] - 0.5 * (squared + log_determinant));
         }
         Ok(log_sum(&logs) - 0.5 * d as f64 * TAU.ln())
-    }
-
-    /// This mixture times a Gaussian message, proper or not: a mixture of as many components, in closed form; and
-    /// the log of the integral of their product, the message being exp(η'x - ½ x'Λx).
-    ///
-    /// With g = η - Λm, a component (m, C) becomes C' = (C⁻¹ + Λ)⁻¹, m' = m + C'g, and its log weight grows by
-    /// ½ ln(|C'| / |C|) + η'm - ½ m'Λm + ½ g'C'g.
-    ///
-    /// # Errors
-    ///
-    /// Where dimensions differ, or Λ is so negative that a component has no product with it.
-    pub fn times_gaussian(&self, gaussian: &DynamicGaussian) -> Result<(Self, f64), MessageError> {
-        let d = self.dimension();
-        size("the Gaussian message", gaussian.dimension(), d)?;
-        let mut information = Small::from_elem(0.0, d * d);
-        gaussian.write_matrix(&mut information);
-        let vector = gaussian.information_vector();
-        let centre = self.coordinates.contains(&Coordinate::Angle).then(|| gaussian.moments().ok()).flatten();
-        let matrices = if self.shared { 1 } else { self.len() };
-        let mut covariances = vec![0.0; matrices * d * d];
-        let mut shifts = Vec::with_capacity(matrices);
-        for (i, posterior) in covariances.chunks_exact_mut(d * d).enumerate() {
-            let mut precision = Small::from_elem(0.0, d * d);
-            let prior = invert(self.covariance_of(i), d, &mut precision);
-            precision.iter_mut().zip(&information).for_each(|(a, b)| *a += b);
-            let (Some(prior), Some(posterior)) = (prior, invert(&precision, d, posterior)) else {
-                let what = "the information of a component times the Gaussian message";
-                crate::Cholesky::new(&precision, d, what)?;
-                return Err(MessageError::NotPositiveDefinite { what, pivot: 0, value: precision[0] });
-            };
-            shifts.push(-0.5 * (posterior + prior));
-        }
-        let mut log_weights = Vec::with_capacity(self.len());
-        let mut means = Vec::with_capacity(self.means.len());
-        let mut branch = Small::from_elem(0.0, d);
-        let (mut gradient, mut step) = (Small::from_elem(0.0, d), Small::from_elem(0.0, d));
-        for i in 0..self.len() {
-            let matrix = if self.shared { 0 } else { i };
-            let mut mean = Small::from_slice(self.mean_of(i));
-            if let Some(centre) = &centre {
-                difference(&self.coordinates, &mean, &centre.mean, &mut branch);
-                mean.iter_mut().zip(&centre.mean).zip(&branch).for_each(|((m, c), b)| *m = c + b);
-            }
-            multiply(&information, &mean, &mut gradient);
-            let mut log = self.log_weights[i] + shifts[matrix];
-            for k in 0..d {
-                log += mean[k] * (vector[k] - 0.5 * gradient[k]);
-                gradient[k] = vector[k] - gradient[k];
-            }
-            multiply(&covariances[matrix * d * d..][..d * d], &gradient, &mut step);
-            log += 0.5 * gradient.iter().zip(&step).map(|(a, b)| a * b).sum::<f64>();
-            mean.iter_mut().zip(&step).for_each(|(m, s)| *m += s);
-            wrap_point(&self.coordinates, &mut mean);
-            means.extend_from_slice(&mean);
-            log_weights.push(log);
-        }
-        Self::assemble(&self.coordinates, log_weights, means, covariances, self.shared)
     }
 
     /// Whether `other` lives on the same coordinates.

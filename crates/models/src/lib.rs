@@ -7,6 +7,7 @@
 //! |---|---|---|
 //! | Gaussian | linearised by dual numbers or sigma points, robust weights | prediction and retrodiction, singular process noise allowed |
 //! | particles | values at the receiver's particles, averaged over the sender's | a draw per particle, guided by what is known of the receiver |
+//! | mixture | every component made linear by itself, within windows where no line serves; rings of kernels | every component by itself, both ways |
 //! | any | by the form of the edge | by the form of the edge |
 //!
 //! What a particle filter and the particle rules have in common, many particles at a time, is in [`cloud`].
@@ -37,5 +38,5 @@ pub use dual::Real;
 pub use model::Model;
 pub use motion::{Motion, ProcessNoise, Transition};
 pub use noise::{Noise, NoiseError};
-pub use residual::{Linearised, PortSampler, Residual, ResidualModel};
+pub use residual::{Linearised, PortSampler, Residual, ResidualModel, Ring, RingCentre};
 pub use rules::Rules;

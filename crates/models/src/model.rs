@@ -1,11 +1,11 @@
 //! The wrapper that makes one set of rules a factor of every family.
 
 use crate::Rules;
-use crate::rules::View;
+use crate::rules::{View, WithForm};
 use sumprod_graph::{Coordinate, Factor, Incoming, MessageError, Port, Stream};
 use sumprod_messages::{
-    AnyForm, AnyMessage, DynamicGaussian, Gaussian, GaussianFamily, GaussianForm, ParticleFamily, Particles,
-    ParticlesForm,
+    AnyForm, AnyMessage, DynamicGaussian, Gaussian, GaussianFamily, GaussianForm, MixtureFamily, MixtureForm,
+    MixtureMessage, ParticleFamily, Particles, ParticlesForm,
 };
 
 /// Rules as a factor of every family; [`crate::AddModel`] puts it on.
@@ -37,6 +37,18 @@ impl<T: Rules> Model<T> {
         out.write_particles(incoming.belief(to), |particles| {
             self.0.particles(to, &view, form, stream, particles)
         })
+    }
+
+    fn mixture<M: GaussianFamily + MixtureFamily>(
+        &self,
+        to: Port,
+        incoming: &Incoming<'_, M>,
+        form: &MixtureForm,
+        coordinates: fn(&M) -> &[Coordinate],
+        stream: &mut Stream,
+    ) -> Result<(MixtureMessage, f64), MessageError> {
+        let view = View { incoming, form: GaussianForm::default(), wrapped: coordinates };
+        self.0.mixture(to, &WithForm { view, form, coordinates }, form, stream)
     }
 }
 
@@ -109,9 +121,30 @@ impl<T: Rules> Factor<Particles> for Model<T> {
     }
 }
 
-/// Angles of particles are read by the direction of their mean, which lies in (-π, π].
+impl<T: Rules> Factor<MixtureMessage> for Model<T> {
+    fn dimensions(&self) -> &[usize] {
+        self.0.dimensions()
+    }
+
+    fn message(
+        &self,
+        to: Port,
+        incoming: &Incoming<'_, MixtureMessage>,
+        form: &MixtureForm,
+        stream: &mut Stream,
+    ) -> Result<MixtureMessage, MessageError> {
+        let (message, loss) = self.mixture(to, incoming, form, MixtureMessage::coordinates, stream)?;
+        Ok(message.costing(loss))
+    }
+
+    fn is_constant(&self) -> bool {
+        self.0.is_constant()
+    }
+}
+
+/// Angles of particles and mixtures are read by the direction of their mean, which lies in (-π, π].
 fn wrapped(message: &AnyMessage) -> &[Coordinate] {
-    message.particles().map_or(&[], Particles::coordinates)
+    if message.as_gaussian().is_some() { &[] } else { ParticleFamily::coordinates(message) }
 }
 
 impl<T: Rules> Factor<AnyMessage> for Model<T> {
@@ -142,6 +175,12 @@ impl<T: Rules> Factor<AnyMessage> for Model<T> {
         match form {
             AnyForm::Gaussian(form) => self.gaussian_into(to, incoming, *form, wrapped, out),
             AnyForm::Particles(form) => self.particles_into(to, incoming, form, stream, out),
+            AnyForm::Mixture(form) => {
+                let (message, loss) =
+                    self.mixture(to, incoming, form, ParticleFamily::coordinates, stream)?;
+                out.write_mixture(incoming.belief(to), message, loss);
+                Ok(())
+            }
         }
     }
 

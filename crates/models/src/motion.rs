@@ -3,8 +3,9 @@
 //! x' = f(x) + B z, z ~ N(0, I). The process covariance B B' may be singular: nothing here inverts it.
 
 use crate::moments::{linearise_motion, predict_covariance};
+use crate::rules::mixture::motion::{Retrodiction, predict};
 use crate::rules::particles::Guided;
-use crate::rules::{GaussianDraft, GaussianView, ParticleView};
+use crate::rules::{GaussianDraft, GaussianView, MixtureView, ParticleView, mixture};
 use crate::small::{
     Matrix, Proper, Vector, WELL_CONDITIONED, check_symmetric, invert, multiply, multiply_add, proper, solve,
     symmetrise, transpose, zero_vector, zeros,
@@ -12,7 +13,7 @@ use crate::small::{
 use crate::{Real, Rules};
 use smallvec::SmallVec;
 use sumprod_graph::{MessageError, Port, Stream};
-use sumprod_messages::{Cholesky, Moments, Particles, ParticlesForm, Proposal};
+use sumprod_messages::{Cholesky, MixtureForm, MixtureMessage, Moments, Particles, ParticlesForm, Proposal};
 
 /// Process noise by a factor B (state by sources, row-major): covariance B B'.
 #[derive(Clone, Debug, PartialEq)]
@@ -382,5 +383,32 @@ impl<T: Motion> Rules for Transition<T> {
             None => prediction.plain(&sample, form.count, stream, out)?,
         }
         Ok(loss)
+    }
+
+    fn mixture(
+        &self,
+        to: Port,
+        view: &dyn MixtureView,
+        form: &MixtureForm,
+        _stream: &mut Stream,
+    ) -> Result<(MixtureMessage, f64), MessageError> {
+        let linear = |x: &[f64]| self.linearise(x);
+        let noise = |x: &[f64]| self.motion.noise(x);
+        let (message, loss) = view.mixture(1 - to, form)?;
+        if message.is_flat() {
+            return Ok((MixtureMessage::flat(view.coordinates(to)), loss));
+        }
+        if to == 0 {
+            let back = Retrodiction { linearise: &linear, noise: &noise, guide: view.guide(0) };
+            return Ok((back.message(&message.to_potential())?, loss));
+        }
+        match message.to_density() {
+            Ok(density) => {
+                let ahead = |mean: &[f64], covariance: &[f64]| self.ahead(mean, mean, covariance);
+                Ok((predict(&density, ahead)?, loss))
+            }
+            Err(_) if message.len() == 1 => mixture::gaussian(self, to, view),
+            Err(error) => Err(error),
+        }
     }
 }

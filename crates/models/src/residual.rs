@@ -12,6 +12,26 @@ pub trait PortSampler: Send + Sync {
     fn sample(&self, others: &[&[f64]], out: &mut [f64], random: &mut FastStream);
 }
 
+/// A residual that is the distance between two points of the plane less a radius: seen from one point, a ring.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Ring {
+    /// The radius, in the unit of the coordinates.
+    pub radius: f64,
+    /// The receiver's coordinates that make its point.
+    pub position: [usize; 2],
+    /// The other point.
+    pub centre: RingCentre,
+}
+
+/// The middle of a ring.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum RingCentre {
+    /// A point that is known.
+    Fixed([f64; 2]),
+    /// The variable at a port, its point being at these coordinates.
+    Port(Port, [usize; 2]),
+}
+
 /// What a user writes of a measurement or constraint.
 ///
 /// The factor is the noise's density at the residual: f(x) = p(r(x)).
@@ -44,6 +64,12 @@ pub trait Residual: Send + Sync {
 
     /// A sampler for a port, used where the receiver has no particles yet.
     fn sampler(&self, _port: Port) -> Option<&dyn PortSampler> {
+        None
+    }
+
+    /// The ring that this residual is for a port, where it is one: mixture messages then are rings of kernels, and
+    /// need no belief of the receiver.
+    fn ring(&self, _port: Port) -> Option<Ring> {
         None
     }
 }

@@ -2,6 +2,7 @@
 
 mod exponential;
 pub(crate) mod linearised;
+pub(crate) mod mixture;
 pub(crate) mod particles;
 mod selection;
 
@@ -10,7 +11,8 @@ use smallvec::SmallVec;
 use std::f64::consts::TAU;
 use sumprod_graph::{Coordinate, Incoming, MessageError, Port, Stream};
 use sumprod_messages::{
-    DynamicGaussian, GaussianFamily, GaussianForm, ParticleFamily, Particles, ParticlesForm,
+    DynamicGaussian, GaussianFamily, GaussianForm, Mixture, MixtureFamily, MixtureForm, MixtureMessage,
+    ParticleFamily, Particles, ParticlesForm,
 };
 
 /// What a Gaussian rule sees of the messages and beliefs at a factor's ports, whatever their family.
@@ -69,6 +71,22 @@ pub trait ParticleView {
     fn coordinates(&self, port: Port) -> &[Coordinate];
 }
 
+/// What a mixture rule sees at a factor's ports.
+pub trait MixtureView: GaussianView {
+    /// The message from a port as a mixture of at most what `form` holds, and the cost (nats).
+    ///
+    /// # Errors
+    ///
+    /// Where it is the values of a likelihood.
+    fn mixture(&self, port: Port, form: &MixtureForm) -> Result<(MixtureMessage, f64), MessageError>;
+
+    /// The belief at a port, where it is a distribution: where a rule spends its components.
+    fn guide(&self, port: Port) -> Option<Mixture>;
+
+    /// The coordinates of the variable at a port.
+    fn coordinates(&self, port: Port) -> &[Coordinate];
+}
+
 /// A factor's rules, written once for all families.
 pub trait Rules: Send + Sync {
     /// The dimension of each port.
@@ -94,6 +112,22 @@ pub trait Rules: Send + Sync {
         stream: &mut Stream,
         out: &mut Particles,
     ) -> Result<f64, MessageError>;
+
+    /// The mixture message to port `to`, and what reading the senders as mixtures cost (nats); the Gaussian rule's
+    /// message where a factor has no other.
+    ///
+    /// # Errors
+    ///
+    /// Where there is no point to linearise at, or a sender's distribution is not known.
+    fn mixture(
+        &self,
+        to: Port,
+        view: &dyn MixtureView,
+        _form: &MixtureForm,
+        _stream: &mut Stream,
+    ) -> Result<(MixtureMessage, f64), MessageError> {
+        mixture::gaussian(self, to, view)
+    }
 
     /// Whether a message to a single port never changes.
     fn is_constant(&self) -> bool {
@@ -171,5 +205,44 @@ impl<M: ParticleFamily> ParticleView for View<'_, '_, M> {
 
     fn coordinates(&self, port: Port) -> &[Coordinate] {
         self.incoming.belief(port).coordinates()
+    }
+}
+
+/// A view of messages that can be read as mixtures, with the form to read beliefs in.
+pub(crate) struct WithForm<'a, 'i, M> {
+    pub(crate) view: View<'a, 'i, M>,
+    pub(crate) form: &'a MixtureForm,
+    pub(crate) coordinates: fn(&M) -> &[Coordinate],
+}
+
+impl<M: GaussianFamily> GaussianView for WithForm<'_, '_, M> {
+    fn message(&self, port: Port, information: &mut [f64], vector: &mut [f64]) -> Result<f64, MessageError> {
+        GaussianView::message(&self.view, port, information, vector)
+    }
+
+    fn belief(&self, port: Port, information: &mut [f64], vector: &mut [f64]) -> Result<f64, MessageError> {
+        self.view.belief(port, information, vector)
+    }
+
+    fn form(&self) -> GaussianForm {
+        self.view.form
+    }
+}
+
+impl<M: GaussianFamily + MixtureFamily> MixtureView for WithForm<'_, '_, M> {
+    fn mixture(&self, port: Port, form: &MixtureForm) -> Result<(MixtureMessage, f64), MessageError> {
+        self.view.incoming.message(port).read_mixture(form)
+    }
+
+    fn guide(&self, port: Port) -> Option<Mixture> {
+        let belief = self.view.incoming.belief(port);
+        if !belief.is_proper() {
+            return None;
+        }
+        belief.read_mixture(self.form).ok().and_then(|(belief, _)| belief.to_density().ok())
+    }
+
+    fn coordinates(&self, port: Port) -> &[Coordinate] {
+        (self.coordinates)(self.view.incoming.belief(port))
     }
 }

@@ -87,7 +87,7 @@ mod tests {
         }
 
         fn quality(&self) -> Quality {
-            Quality { effective_sample_size: self.0, conversion_loss: self.1 }
+            Quality { effective_sample_size: self.0, conversion_loss: self.1, ..Quality::default() }
         }
     }
 

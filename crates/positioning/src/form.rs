@@ -5,6 +5,8 @@
 //! | `"gaussian"` | a Gaussian, nonlinear factors expanded to first order |
 //! | `{ gaussian = "sigma-points" }` | a Gaussian, nonlinear factors made linear over sigma points |
 //! | `{ particles = 1000 }` | 1000 weighted particles |
+//! | `{ mixture = 50 }` | a mixture of at most 50 Gaussians |
+//! | `{ mixture = 50, product = "multiscale-gibbs", bandwidth = "silverman", samples = 500 }` | the same, a belief of this form multiplied by that method from that many points, particles read with kernels of that rule |
 //! | `{ particles = 1000, senders = 100, proposal = "prediction" }` | the same, messages averaged over 100 of the sender's particles, predicted states drawn from the motion alone |
 
 use std::fmt;
@@ -12,12 +14,15 @@ use std::fmt;
 use serde::de::{Error, MapAccess, Visitor};
 use serde::ser::SerializeMap;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
-use sumprod_messages::{AnyForm, GaussianForm, Linearisation, ParticlesForm, Proposal};
+use sumprod_messages::{
+    AnyForm, BandwidthChoice, GaussianForm, Linearisation, MixtureForm, ParticlesForm, ProductChoice,
+    Proposal,
+};
 
 use crate::error::PositioningError;
 
 /// The names that a form starts with.
-const NAMES: &[&str] = &["gaussian", "particles"];
+const NAMES: &[&str] = &["gaussian", "mixture", "particles"];
 
 /// A form as a scenario file spells it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -34,18 +39,28 @@ impl FormSpec {
         Self(AnyForm::Particles(ParticlesForm { count, senders, proposal }))
     }
 
+    /// Mixtures of at most `components` Gaussians.
+    pub fn mixture(components: usize) -> Self {
+        Self(AnyForm::mixture(components))
+    }
+
     /// Checks the numbers; `key` is the dotted path under which the form was read.
     ///
     /// # Errors
-    /// [`PositioningError::Setting`] for no particles or no senders.
+    /// [`PositioningError::Setting`] for no particles or senders, no component or sample.
     pub fn validate(&self, key: &str) -> Result<(), PositioningError> {
-        if let AnyForm::Particles(form) = &self.0 {
-            at_least_one(&format!("{key}.particles"), form.count, "particle")?;
-            if let Some(senders) = form.senders {
-                at_least_one(&format!("{key}.senders"), senders, "sender")?;
+        match &self.0 {
+            AnyForm::Gaussian(_) => Ok(()),
+            AnyForm::Particles(form) => {
+                at_least_one(&format!("{key}.particles"), form.count, "particle")?;
+                form.senders
+                    .map_or(Ok(()), |senders| at_least_one(&format!("{key}.senders"), senders, "sender"))
+            }
+            AnyForm::Mixture(form) => {
+                at_least_one(&format!("{key}.mixture"), form.components, "component")?;
+                at_least_one(&format!("{key}.samples"), form.samples, "sample")
             }
         }
-        Ok(())
     }
 }
 
@@ -73,6 +88,13 @@ impl fmt::Display for FormSpec {
             AnyForm::Particles(form) => {
                 write!(f, "particles {}", form.count)?;
                 form.senders.map_or(Ok(()), |senders| write!(f, " ({senders} senders)"))
+            }
+            AnyForm::Mixture(form) => {
+                write!(f, "mixture {}", form.components)?;
+                match form.product {
+                    ProductChoice::Auto => Ok(()),
+                    other => write!(f, " ({})", other.method().name()),
+                }
             }
         }
     }
@@ -104,6 +126,14 @@ impl Serialize for FormSpec {
                 map.serialize_entry("proposal", &form.proposal)?;
                 map.end()
             }
+            AnyForm::Mixture(form) => {
+                let mut map = serializer.serialize_map(None)?;
+                map.serialize_entry("mixture", &form.components)?;
+                map.serialize_entry("product", &form.product)?;
+                map.serialize_entry("bandwidth", &form.bandwidth)?;
+                map.serialize_entry("samples", &form.samples)?;
+                map.end()
+            }
         }
     }
 }
@@ -127,39 +157,84 @@ impl<'de> Visitor<'de> for Spelling {
         match name {
             "gaussian" => Ok(FormSpec::gaussian()),
             "particles" => Err(E::custom("particles need their number, as in { particles = 1000 }")),
+            "mixture" => Err(E::custom("a mixture needs its number of components, as in { mixture = 50 }")),
             other => Err(unknown(other)),
         }
     }
 
     fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<FormSpec, A::Error> {
-        let (mut linearisation, mut count, mut senders, mut proposal) = (None, None, None, None);
+        let mut parts = Parts::default();
         while let Some(key) = map.next_key::<String>()? {
             match key.as_str() {
-                "gaussian" => linearisation = Some(map.next_value()?),
-                "particles" => count = Some(map.next_value()?),
-                "senders" => senders = Some(map.next_value()?),
-                "proposal" => proposal = Some(map.next_value()?),
+                "gaussian" => parts.gaussian = Some(map.next_value()?),
+                "particles" => parts.particles = Some(map.next_value()?),
+                "mixture" => parts.mixture = Some(map.next_value()?),
+                "senders" => parts.senders = Some(map.next_value()?),
+                "proposal" => parts.proposal = Some(map.next_value()?),
+                "product" => parts.product = Some(map.next_value()?),
+                "bandwidth" => parts.bandwidth = Some(map.next_value()?),
+                "samples" => parts.samples = Some(map.next_value()?),
                 other => return Err(unknown(other)),
             }
         }
-        match (linearisation, count) {
-            (Some(linearisation), None) if senders.is_none() && proposal.is_none() => {
+        parts.form()
+    }
+}
+
+/// The keys of a form's table.
+#[derive(Default)]
+struct Parts {
+    gaussian: Option<Linearisation>,
+    particles: Option<usize>,
+    mixture: Option<usize>,
+    senders: Option<usize>,
+    proposal: Option<Proposal>,
+    product: Option<ProductChoice>,
+    bandwidth: Option<BandwidthChoice>,
+    samples: Option<usize>,
+}
+
+impl Parts {
+    fn form<E: Error>(self) -> Result<FormSpec, E> {
+        let of_particles = [("senders", self.senders.is_some()), ("proposal", self.proposal.is_some())];
+        let of_mixtures = [
+            ("product", self.product.is_some()),
+            ("bandwidth", self.bandwidth.is_some()),
+            ("samples", self.samples.is_some()),
+        ];
+        let refuse = |keys: &[(&str, bool)], family: &str| match keys.iter().find(|(_, given)| *given) {
+            Some((key, _)) => Err(E::custom(format!("{key} belongs to {family}"))),
+            None => Ok(()),
+        };
+        match (self.gaussian, self.particles, self.mixture) {
+            (Some(linearisation), None, None) => {
+                refuse(&of_particles, "particles")?;
+                refuse(&of_mixtures, "mixtures")?;
                 Ok(FormSpec(AnyForm::Gaussian(GaussianForm { linearisation })))
             }
-            (None, Some(count)) => Ok(FormSpec::particles(count, senders, proposal.unwrap_or_default())),
-            (Some(_), Some(_)) => Err(A::Error::custom("a form is either gaussian or particles, not both")),
-            (Some(_), None) => Err(A::Error::custom("senders and proposal belong to particles")),
-            (None, None) => {
-                Err(A::Error::custom("a form names its family, as in { particles = 1000 } or \"gaussian\""))
+            (None, Some(count), None) => {
+                refuse(&of_mixtures, "mixtures")?;
+                Ok(FormSpec::particles(count, self.senders, self.proposal.unwrap_or_default()))
             }
+            (None, None, Some(components)) => {
+                refuse(&of_particles, "particles")?;
+                let default = MixtureForm::new(components);
+                Ok(FormSpec(AnyForm::Mixture(MixtureForm {
+                    product: self.product.unwrap_or(default.product),
+                    bandwidth: self.bandwidth.unwrap_or(default.bandwidth),
+                    samples: self.samples.unwrap_or(default.samples),
+                    ..default
+                })))
+            }
+            (None, None, None) => Err(E::custom(
+                "a form names its family, as in { particles = 1000 }, { mixture = 50 } or \"gaussian\"",
+            )),
+            _ => Err(E::custom("a form is gaussian, particles or a mixture, only one of them")),
         }
     }
 }
 
 fn unknown<E: Error>(name: &str) -> E {
-    if name == "mixture" {
-        return E::custom("mixtures are not available as a form yet; choose gaussian or particles");
-    }
     E::unknown_variant(name, NAMES)
 }
 
@@ -179,6 +254,16 @@ mod tests {
             (r#"{"gaussian": "sigma-points"}"#, FormSpec(sigma)),
             (r#"{"gaussian": "jacobian"}"#, FormSpec::gaussian()),
             (r#"{"particles": 300}"#, FormSpec::particles(300, None, Proposal::Informed)),
+            (r#"{"mixture": 50}"#, FormSpec::mixture(50)),
+            (
+                r#"{"mixture": 50, "product": "multiscale-gibbs", "bandwidth": "silverman", "samples": 9}"#,
+                FormSpec(AnyForm::Mixture(MixtureForm {
+                    components: 50,
+                    product: ProductChoice::MultiscaleGibbs,
+                    bandwidth: BandwidthChoice::Silverman,
+                    samples: 9,
+                })),
+            ),
             (
                 r#"{"particles": 300, "senders": 50, "proposal": "prediction"}"#,
                 FormSpec::particles(300, Some(50), Proposal::Prediction),
@@ -192,12 +277,14 @@ mod tests {
     #[test]
     fn wrong_spellings_say_what_there_is() {
         for (json, part) in [
-            (r#""gausian""#, "unknown variant `gausian`, expected `gaussian` or `particles`"),
-            (r#""mixture""#, "mixtures are not available"),
-            (r#"{"mixture": 50}"#, "mixtures are not available"),
+            (r#""gausian""#, "unknown variant `gausian`, expected one of `gaussian`, `mixture`, `particles`"),
+            (r#""mixture""#, "as in { mixture = 50 }"),
+            (r#"{"mixture": 50, "senders": 3}"#, "senders belongs to particles"),
+            (r#"{"mixture": 50, "product": "gibs"}"#, "unknown variant `gibs`"),
+            (r#"{"particles": 50, "product": "gibbs"}"#, "product belongs to mixtures"),
             (r#""particles""#, "as in { particles = 1000 }"),
-            (r#"{"particles": 5, "gaussian": "jacobian"}"#, "not both"),
-            (r#"{"gaussian": "jacobian", "senders": 3}"#, "belong to particles"),
+            (r#"{"particles": 5, "gaussian": "jacobian"}"#, "only one of them"),
+            (r#"{"gaussian": "jacobian", "senders": 3}"#, "senders belongs to particles"),
             (r#"{"senders": 3}"#, "names its family"),
             (r#"{"particles": -3}"#, "invalid value: integer `-3`"),
             ("7", "expected \"gaussian\" or a table"),
@@ -214,6 +301,8 @@ mod tests {
         assert_eq!(message, "`method.a.form.range.particles` is 0; at least 1 particle is needed");
         let spec = FormSpec::particles(10, Some(0), Proposal::Informed);
         assert!(spec.validate("m").unwrap_err().to_string().contains("`m.senders` is 0"));
+        let message = FormSpec::mixture(0).validate("m").unwrap_err().to_string();
+        assert_eq!(message, "`m.mixture` is 0; at least 1 component is needed");
     }
 
     #[test]

@@ -1,14 +1,15 @@
 //! Conversions between families, and what they cost.
 
+use super::held::Held;
 use crate::kernel::floor_diagonal;
-use crate::moments::gaussian_divergence;
+use crate::mixture::{MixtureForm, MixtureMessage, drawn_loss};
 use crate::particles::{Role, Support};
 use crate::{DynamicGaussian, Moments, Particles};
 use rand_distr::{Distribution, StandardNormal};
 use smallvec::SmallVec;
 use std::f64::consts::TAU;
 use std::sync::Arc;
-use sumprod_graph::{Coordinate, Message, MessageError, Space, Stream};
+use sumprod_graph::{Coordinate, Message, MessageError, Quality, Space, Stream};
 
 pub(super) fn no_distribution() -> MessageError {
     let reason = "particles that are no sample (empty, or values of a likelihood) have no moments; hold this \
@@ -74,7 +75,7 @@ fn widen_collapsed(particles: &Particles, moments: &mut Moments) {
 }
 
 /// Draws from a Gaussian; the loss is the divergence from it to the Gaussian with the sample's moments.
-pub(super) fn gaussian_to_particles(
+pub(super) fn drawn_from_gaussians(
     gaussian: &DynamicGaussian,
     coordinates: &Arc<[Coordinate]>,
     count: usize,
@@ -84,15 +85,7 @@ pub(super) fn gaussian_to_particles(
         return Ok((Particles::vacuous(&Space::new(coordinates.to_vec())), 0.0));
     }
     let particles = draw(gaussian, coordinates, count, stream)?;
-    let exact = gaussian.moments()?;
-    let mut drawn = particles.moments();
-    floor_diagonal(&mut drawn.covariance, exact.dimension());
-    for ((drawn, exact), kind) in drawn.mean.iter_mut().zip(&exact.mean).zip(coordinates.iter()) {
-        if *kind == Coordinate::Angle {
-            *drawn = exact + sumprod_graph::wrap_angle(*drawn - exact);
-        }
-    }
-    let loss = if count > exact.dimension() { gaussian_divergence(&exact, &drawn)? } else { f64::INFINITY };
+    let loss = drawn_loss(&gaussian.moments()?, &particles)?;
     Ok((particles, loss))
 }
 
@@ -124,6 +117,87 @@ fn draw(
     let support = Support { coordinates: coordinates.to_vec(), points, log_proposal: Some(log_proposal) };
     let log_weights = vec![-(count as f64).ln(); count];
     Ok(Particles { support: Arc::new(support), log_weights, role: Role::Sample })
+}
+
+impl Held for DynamicGaussian {
+    fn to_gaussian(&self) -> Result<(Self, f64), MessageError> {
+        Ok((self.clone(), 0.0))
+    }
+
+    fn to_particles(
+        &self,
+        coordinates: &Arc<[Coordinate]>,
+        count: usize,
+        stream: &mut Stream,
+    ) -> Result<(Particles, f64), MessageError> {
+        drawn_from_gaussians(self, coordinates, count, stream)
+    }
+
+    fn to_mixture(
+        &self,
+        coordinates: &[Coordinate],
+        _form: &MixtureForm,
+    ) -> Result<(MixtureMessage, f64), MessageError> {
+        Ok((MixtureMessage::from_gaussian(coordinates, self), 0.0))
+    }
+
+    fn log_value(&self, coordinates: &[Coordinate], point: &[f64]) -> Option<f64> {
+        Some(log_value(self, coordinates, point))
+    }
+
+    fn is_vacuous(&self) -> bool {
+        self.is_flat()
+    }
+
+    fn is_distribution(&self) -> bool {
+        Message::is_proper(self)
+    }
+
+    fn known_quality(&self) -> Quality {
+        Message::quality(self)
+    }
+}
+
+impl Held for Particles {
+    fn to_gaussian(&self) -> Result<(DynamicGaussian, f64), MessageError> {
+        particles_to_gaussian(self)
+    }
+
+    fn to_particles(
+        &self,
+        _coordinates: &Arc<[Coordinate]>,
+        _count: usize,
+        _stream: &mut Stream,
+    ) -> Result<(Self, f64), MessageError> {
+        Ok((self.clone(), 0.0))
+    }
+
+    fn to_mixture(
+        &self,
+        coordinates: &[Coordinate],
+        form: &MixtureForm,
+    ) -> Result<(MixtureMessage, f64), MessageError> {
+        if self.is_empty() {
+            return Ok((MixtureMessage::flat(coordinates), 0.0));
+        }
+        MixtureMessage::from_particles(self, form)
+    }
+
+    fn log_value(&self, _coordinates: &[Coordinate], _point: &[f64]) -> Option<f64> {
+        None
+    }
+
+    fn is_vacuous(&self) -> bool {
+        self.is_empty()
+    }
+
+    fn is_distribution(&self) -> bool {
+        Message::is_proper(self)
+    }
+
+    fn known_quality(&self) -> Quality {
+        Message::quality(self)
+    }
 }
 
 /// Log value of a Gaussian message at a point, angles taken on the turn nearest the message's mean.

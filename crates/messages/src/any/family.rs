@@ -1,16 +1,15 @@
 //! How rules read and write messages, whatever their family.
 
 use super::{AnyForm, AnyMessage, AnyValue};
+use crate::mixture::{MixtureFamily, MixtureForm, MixtureMessage};
 use crate::{DynamicGaussian, GaussianFamily, GaussianForm, Particles, ParticlesForm};
 use sumprod_graph::{Coordinate, Message, MessageError, Stream};
-
-use super::convert::particles_to_gaussian;
 
 impl GaussianFamily for AnyMessage {
     fn gaussian_form(form: &AnyForm) -> GaussianForm {
         match form {
             AnyForm::Gaussian(form) => *form,
-            AnyForm::Particles(_) => GaussianForm::default(),
+            _ => GaussianForm::default(),
         }
     }
 
@@ -22,8 +21,8 @@ impl GaussianFamily for AnyMessage {
         let before = self.loss.unwrap_or(0.0);
         match &self.value {
             AnyValue::Gaussian(gaussian) => Ok(before + gaussian.read_information(information, vector)?),
-            AnyValue::Particles(particles) => {
-                let (gaussian, loss) = particles_to_gaussian(particles)?;
+            value => {
+                let (gaussian, loss) = value.held().to_gaussian()?;
                 gaussian.read_information(information, vector)?;
                 Ok(before + loss)
             }
@@ -112,11 +111,27 @@ impl ParticleFamily for Particles {
     }
 }
 
+impl MixtureFamily for AnyMessage {
+    fn read_mixture(&self, form: &MixtureForm) -> Result<(MixtureMessage, f64), MessageError> {
+        let (mixture, loss) = self.value.held().to_mixture(&self.coordinates, form)?;
+        Ok((mixture, self.loss.unwrap_or(0.0) + loss))
+    }
+}
+
+impl AnyMessage {
+    /// Becomes a mixture on the space of `like`, having cost `loss` nats in conversions.
+    pub fn write_mixture(&mut self, like: &Self, mixture: MixtureMessage, loss: f64) {
+        self.value = AnyValue::Mixture(mixture);
+        self.coordinates.clone_from(&like.coordinates);
+        self.loss = (loss != 0.0).then_some(loss);
+    }
+}
+
 impl ParticleFamily for AnyMessage {
     fn particles_form(form: &AnyForm) -> Option<ParticlesForm> {
         match form {
             AnyForm::Particles(form) => Some(*form),
-            AnyForm::Gaussian(_) => None,
+            _ => None,
         }
     }
 
@@ -132,7 +147,7 @@ impl ParticleFamily for AnyMessage {
     fn as_gaussian(&self) -> Option<&DynamicGaussian> {
         match &self.value {
             AnyValue::Gaussian(gaussian) => Some(gaussian),
-            AnyValue::Particles(_) => None,
+            _ => None,
         }
     }
 

@@ -1,7 +1,8 @@
 //! Products of messages in different forms.
 
-use super::convert::{gaussian_to_particles, log_value, particles_to_gaussian};
+use super::convert::drawn_from_gaussians;
 use super::{AnyMessage, AnyValue};
+use crate::mixture::{MixtureForm, MixtureMessage};
 use crate::particles::{Role, carrier};
 use crate::{DynamicGaussian, Particles, ParticlesForm};
 use smallvec::SmallVec;
@@ -22,8 +23,8 @@ pub(super) fn gaussian_product(
             let converted;
             let gaussian = match &message.value {
                 AnyValue::Gaussian(gaussian) => gaussian,
-                AnyValue::Particles(particles) => {
-                    let (gaussian, cost) = particles_to_gaussian(particles)?;
+                value => {
+                    let (gaussian, cost) = value.held().to_gaussian()?;
                     loss += cost;
                     converted = gaussian;
                     &converted
@@ -87,38 +88,38 @@ pub(super) fn particle_product(
     out: &mut AnyMessage,
 ) -> Result<(), MessageError> {
     let all: SmallVec<[&AnyMessage; 16]> = incoming.iter().collect();
-    let gaussians = || {
-        all.iter().filter_map(|message| match &message.value {
-            AnyValue::Gaussian(gaussian) if !gaussian.is_flat() => Some(gaussian),
-            _ => None,
-        })
+    // What can be read anywhere weighs the points of what cannot.
+    let functions = || {
+        let held =
+            all.iter().filter(|message| message.particles().is_none()).map(|message| message.value.held());
+        held.filter(|held| !held.is_vacuous())
     };
     let sets = all.iter().filter_map(|message| message.particles());
     let carried = carrier(sets.clone());
     let base = match carried {
         Some(sample) if sample.role() == Role::Sample => sample,
         // Likelihoods on points drawn from a known density: those points carry the product by importance.
-        Some(values) if values.support.log_proposal.is_some() && gaussians().next().is_some() => values,
-        Some(values) if gaussians().next().is_none() => values,
+        Some(values) if values.support.log_proposal.is_some() && functions().next().is_some() => values,
+        Some(values) if functions().next().is_none() => values,
         _ => return drawn_product(&all, form, stream, out),
     };
     let d = base.dimension();
     let mut product = match &mut out.value {
         // The storage of the old belief serves the new one.
         AnyValue::Particles(old) => std::mem::take(old),
-        AnyValue::Gaussian(_) => Particles::default(),
+        _ => Particles::default(),
     };
     product.clone_from(base);
     for other in sets.filter(|other| !std::ptr::eq(*other, base)) {
         product.absorb(other)?;
     }
-    for gaussian in gaussians() {
+    for function in functions() {
         for (log, point) in product.log_weights.iter_mut().zip(product.support.points.chunks_exact(d)) {
-            *log += log_value(gaussian, &out.coordinates, point);
+            *log += function.log_value(&out.coordinates, point).unwrap_or(0.0);
         }
     }
     if base.role() == Role::Likelihood
-        && gaussians().next().is_some()
+        && functions().next().is_some()
         && let Some(log_proposal) = &base.support.log_proposal
     {
         for (log, proposal) in product.log_weights.iter_mut().zip(log_proposal) {
@@ -132,7 +133,7 @@ pub(super) fn particle_product(
 }
 
 /// No points yet, or only likelihoods whose points have no known density: points are drawn from the product of
-/// the Gaussian messages. A product that is not yet a distribution stays Gaussian.
+/// the other messages. A product that is not yet a distribution stays as it is.
 fn drawn_product(
     all: &[&AnyMessage],
     form: &ParticlesForm,
@@ -140,16 +141,32 @@ fn drawn_product(
     out: &mut AnyMessage,
 ) -> Result<(), MessageError> {
     let mut product = DynamicGaussian::flat(out.coordinates.len());
+    let mut mixtures = Vec::new();
     for message in all {
-        if let AnyValue::Gaussian(gaussian) = &message.value {
-            product.add(gaussian)?;
+        match &message.value {
+            AnyValue::Gaussian(gaussian) => product.add(gaussian)?,
+            AnyValue::Mixture(mixture) => mixtures.push(mixture.clone()),
+            AnyValue::Particles(_) => {}
         }
     }
-    if !product.is_proper() {
-        out.value = AnyValue::Gaussian(product);
-        return Ok(());
-    }
-    let (mut particles, loss) = gaussian_to_particles(&product, &out.coordinates, form.count, stream)?;
+    let (mut particles, loss) = if mixtures.is_empty() {
+        if !Message::is_proper(&product) {
+            out.value = AnyValue::Gaussian(product);
+            return Ok(());
+        }
+        drawn_from_gaussians(&product, &out.coordinates, form.count, stream)?
+    } else {
+        mixtures.push(MixtureMessage::from_gaussian(&out.coordinates, &product));
+        let edges: Vec<u32> = (0..mixtures.len() as u32).collect();
+        let form_of_product = MixtureForm { samples: form.count, ..MixtureForm::default() };
+        let product = MixtureMessage::product(Messages::new(&mixtures, &edges), &form_of_product, stream)?;
+        if !Message::is_proper(&product) {
+            out.value = AnyValue::Mixture(product);
+            return Ok(());
+        }
+        let (particles, loss) = product.to_particles(form.count, stream)?;
+        (particles, loss + product.loss().unwrap_or(0.0))
+    };
     for other in all.iter().filter_map(|message| message.particles()) {
         particles.absorb(other)?;
     }

@@ -73,6 +73,9 @@ pub struct Product {
     pub particles: Particles,
     /// The product itself, where the method is exact.
     pub mixture: Option<Mixture>,
+    /// A mixture near the product, where the method is not exact but finds one: of the Gaussians that a sampler's last
+    /// labels choose, or of what pairs were condensed to. Smoother than the points, and uncorrected by their weights.
+    pub near: Option<Mixture>,
     /// Log of the integral of the product of the (normalised) inputs: exact, or an estimate.
     pub log_normaliser: Option<f64>,
     /// How it was found and how good it is.

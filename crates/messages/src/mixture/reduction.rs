@@ -8,6 +8,12 @@ use sumprod_graph::MessageError;
 /// More components than this are condensed from the top before pairs are merged one by one.
 const PAIRWISE: usize = 1_000;
 
+/// Divergence (nats) up to which fewer components say the same.
+const SAME: f64 = 1e-3;
+
+/// How many times more components are kept before pairs are merged than after.
+const FINER: usize = 4;
+
 impl Mixture {
     /// Leaves out the components whose weight is below `share` of the heaviest one's, and returns the weight that
     /// is lost. O(N).
@@ -47,6 +53,38 @@ impl Mixture {
             divergence += pairs.merge_cheapest();
         }
         Ok((pairs.finish(), divergence))
+    }
+
+    /// The mixture of this and the share `damping` of `other`.
+    pub(super) fn blend(&self, other: &Self, damping: f64) -> Result<Self, MessageError> {
+        self.check_like(other, "the message to blend with")?;
+        let scaled = |mixture: &Self, share: f64| {
+            mixture.log_weights.iter().map(|log| log + share.ln()).collect::<Vec<f64>>()
+        };
+        let mut log_weights = scaled(self, 1.0 - damping);
+        log_weights.extend(scaled(other, damping));
+        let mut means = self.means.clone();
+        means.extend(&other.means);
+        let each = [self, other].into_iter();
+        let covariances = each
+            .flat_map(|mixture| (0..mixture.len()).flat_map(|i| mixture.covariance_of(i)).copied())
+            .collect();
+        Self::assemble(&self.coordinates, log_weights, means, covariances, false).map(|(both, _)| both)
+    }
+
+    /// At most `count` components, fewer where the bound of the divergence stays at most [`SAME`]: what messages and
+    /// beliefs are held with. `masses` say how much each component matters, where it is not its weight.
+    pub(super) fn fewer(&self, count: usize, masses: Option<&[f64]>) -> Result<(Self, f64), MessageError> {
+        if self.len() <= 1 {
+            return Ok((self.clone(), 0.0));
+        }
+        let first = match masses {
+            // Weights alone decide what pairs are merged, so masses must have had their say by then.
+            Some(_) => condense(self, count.max(1), SAME, masses),
+            None => condense(self, count.saturating_mul(FINER), SAME, None),
+        };
+        let (fewer, loss) = first.mixture.reduce(count)?;
+        Ok((fewer, first.divergence + loss))
     }
 
     /// At most `count` components by splitting from the top, or fewer once the bound of the divergence is at most

@@ -153,6 +153,6 @@ impl Message for Particles {
 
     fn quality(&self) -> Quality {
         let effective_sample_size = (!self.is_empty()).then(|| self.effective_sample_size());
-        Quality { effective_sample_size, conversion_loss: None }
+        Quality { effective_sample_size, ..Quality::default() }
     }
 }

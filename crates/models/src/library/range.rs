@@ -4,7 +4,7 @@
 
 use super::checks::{coordinates, finite, size};
 use crate::packed::is_packed;
-use crate::{Noise, PortSampler, Real, Residual};
+use crate::{Noise, PortSampler, Real, Residual, Ring, RingCentre};
 use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
 use std::f64::consts::TAU;
@@ -64,6 +64,11 @@ impl Residual for Range {
     fn residual<T: Real>(&self, x: &[&[T]], out: &mut [T]) {
         let [a, b] = self.positions;
         out[0] = distance(x[1][b[0]] - x[0][a[0]], x[1][b[1]] - x[0][a[1]]) - self.measured;
+    }
+
+    fn ring(&self, port: Port) -> Option<Ring> {
+        let (position, other) = (*self.positions.get(port)?, 1 - port);
+        Some(Ring { radius: self.measured, position, centre: RingCentre::Port(other, self.positions[other]) })
     }
 }
 
@@ -128,6 +133,11 @@ impl Residual for AnchorRange {
     fn sampler(&self, _port: Port) -> Option<&dyn PortSampler> {
         // A ring determines a position alone.
         (self.dimensions[0] == 2).then_some(self)
+    }
+
+    fn ring(&self, _port: Port) -> Option<Ring> {
+        let centre = RingCentre::Fixed(self.anchor);
+        Some(Ring { radius: self.measured, position: self.position, centre })
     }
 }
 

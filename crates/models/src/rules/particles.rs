@@ -3,14 +3,16 @@
 use crate::residual::ResidualModel;
 use crate::rules::exponential::{sum_of_exponentials, sum_of_gaussians};
 use crate::rules::selection::select;
-use crate::rules::{GaussianDraft, GaussianView, ParticleView, Rules, linearised};
+use crate::rules::{GaussianDraft, GaussianView, MixtureView, ParticleView, Rules, linearised, mixture};
 use crate::small::{Matrix, Vector, multiply, multiply_add, symmetrise, transpose, zero_vector, zeros};
 use crate::{Linearised, ProcessNoise, Residual};
 use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
 use smallvec::SmallVec;
 use sumprod_graph::{Coordinate, FastStream, MessageError, Port, Space, Stream, wrap_angle};
-use sumprod_messages::{Cholesky, DynamicGaussian, Particles, ParticlesForm, Proposal, Role};
+use sumprod_messages::{
+    Cholesky, DynamicGaussian, MixtureForm, MixtureMessage, Particles, ParticlesForm, Proposal, Role,
+};
 
 impl<R: Residual> Rules for ResidualModel<R> {
     fn dimensions(&self) -> &[usize] {
@@ -57,8 +59,14 @@ impl<R: Residual> Rules for ResidualModel<R> {
         Ok(loss)
     }
 
-    fn is_constant(&self) -> bool {
-        false
+    fn mixture(
+        &self,
+        to: Port,
+        view: &dyn MixtureView,
+        form: &MixtureForm,
+        stream: &mut Stream,
+    ) -> Result<(MixtureMessage, f64), MessageError> {
+        mixture::message(self, self.0.ring(to), to, view, form, stream)
     }
 }
 

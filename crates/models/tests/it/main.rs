@@ -10,6 +10,7 @@ mod golden;
 mod guided;
 mod heavy;
 mod improper;
+mod mixtures;
 mod noise;
 mod pairs;
 mod particles;

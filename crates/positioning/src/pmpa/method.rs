@@ -157,7 +157,7 @@ impl MethodSettings {
     pub fn is_guided(&self) -> bool {
         match self.prediction_form() {
             AnyForm::Particles(form) => form.proposal != Proposal::Prediction,
-            AnyForm::Gaussian(_) => false,
+            _ => false,
         }
     }
 

@@ -235,6 +235,7 @@ impl<'a> Chains<'a> {
         Ok(Product {
             particles: Particles::equally_weighted(&space, points)?,
             mixture: None,
+            near: Some(chosen),
             log_normaliser: Some(weighted.log_normaliser),
             quality,
         })

@@ -91,6 +91,7 @@ impl ProductMethod for Exact {
         Ok(Product {
             particles: mixture.sample_systematic(samples, stream)?,
             mixture: Some(mixture.into_owned()),
+            near: None,
             log_normaliser: Some(log_normaliser),
             quality,
         })

@@ -167,7 +167,7 @@ impl ProductMethod for Pointwise {
         // The carrier's weights sum to one, so the total and not the mean is the normaliser.
         let log_normaliser = Some(weighted.log_normaliser + (weights.len() as f64).ln());
         let particles = Particles::new(&space, self.carrier.points().to_vec(), weighted.log_weights)?;
-        Ok(Product { particles, mixture: None, log_normaliser, quality })
+        Ok(Product { particles, mixture: None, near: None, log_normaliser, quality })
     }
 }
 
@@ -208,7 +208,7 @@ pub(super) fn weigh(
         }
     };
     let log_normaliser = Some(weighted.log_normaliser + log_normaliser);
-    Ok(Product { particles, mixture: None, log_normaliser, quality })
+    Ok(Product { particles, mixture: None, near: None, log_normaliser, quality })
 }
 
 fn warn_of_starvation(quality: &mut ProductQuality, points: usize) {

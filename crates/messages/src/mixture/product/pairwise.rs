@@ -104,8 +104,9 @@ impl ProductMethod for Pairwise {
             let sorted = sort(&factors[0], &points);
             let log_p = log_products(&factors, &points, &sorted, ACCURACY)?;
             let log_q = log_products(&[&proposal], &points, &sorted, ACCURACY)?;
-            let product =
+            let mut product =
                 weigh(self.name(), &factors, points, &log_p, &log_q, None, log_normaliser, &mut random)?;
+            product.near = Some(found.mixture.clone());
             let share = product.quality.effective_sample_size / samples as f64;
             if best.as_ref().is_none_or(|(other, _)| share > *other) {
                 best = Some((share, product));
@@ -250,5 +251,5 @@ fn exactly(
     let labels = mixture.comb(samples, random);
     let particles = crate::Particles::equally_weighted(&mixture.space(), mixture.draw(&labels, random))?;
     let log_normaliser = Some(found.log_normaliser + log_normaliser);
-    Ok(Product { particles, mixture: Some(mixture), log_normaliser, quality })
+    Ok(Product { particles, mixture: Some(mixture), near: None, log_normaliser, quality })
 }

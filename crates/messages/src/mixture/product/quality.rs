@@ -7,7 +7,7 @@ use super::super::tree::{Tree, scale};
 use super::super::{Evaluator, Mixture};
 use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
-use sumprod_graph::MessageError;
+use sumprod_graph::{MessageError, ProductOutcome};
 
 /// Log of the product's height over the product of the inputs' heights below which the inputs have disjoint
 /// supports: where the smallest positive number would be zero.
@@ -15,6 +15,21 @@ const DISJOINT: f64 = -700.0;
 
 /// The same, below which they disagree so much that a person should know: ten standard deviations.
 const DISAGREE: f64 = -50.0;
+
+/// The names of all methods.
+const METHODS: [&str; 11] = [
+    "auto",
+    "exact",
+    "gibbs",
+    "annealed-gibbs",
+    "multiscale-gibbs",
+    "mixture-importance",
+    "gaussian-importance",
+    "pairwise",
+    "pointwise",
+    "literal",
+    "gaussian",
+];
 
 /// Points at which a sampler's divergence is estimated.
 pub(super) const PROBES: usize = 256;
@@ -51,6 +66,23 @@ pub struct ProductQuality {
 impl ProductQuality {
     pub(super) fn new(method: &str, effective_sample_size: f64) -> Self {
         Self { method: method.into(), effective_sample_size, ..Self::default() }
+    }
+
+    /// Whether points were drawn, and their effective number tells something: not of an exact product.
+    pub(crate) fn sampled(&self) -> bool {
+        self.divergence != Some(0.0)
+    }
+
+    /// What reports of a run hold.
+    pub(crate) fn outcome(&self) -> ProductOutcome {
+        let method = METHODS.iter().find(|name| **name == self.method).copied().unwrap_or("other");
+        ProductOutcome {
+            method,
+            label_change: self.label_change,
+            divergence: self.divergence,
+            modes_before: self.modes_before.as_ref().and_then(|modes| modes.iter().max().copied()),
+            modes_after: self.modes_after,
+        }
     }
 }
 
