@@ -14,6 +14,19 @@ pub(crate) struct Costs {
     /// Sum and number of the beliefs' effective sample sizes.
     effective: (f64, u32),
     unbounded: bool,
+    /// Sum and number of the beliefs' components.
+    components: (f64, u32),
+    /// How often each method found a belief's product.
+    methods: BTreeMap<&'static str, u32>,
+    /// Sum and number of the products' divergences (nats), and of the label changes of those that were sampled.
+    divergences: (f64, u32),
+    label_changes: (f64, u32),
+}
+
+fn add(mean: &mut (f64, u32), value: Option<f64>) {
+    if let Some(value) = value.filter(|value| value.is_finite()) {
+        *mean = (mean.0 + value, mean.1 + 1);
+    }
 }
 
 impl Costs {
@@ -25,8 +38,12 @@ impl Costs {
     /// Takes in a belief.
     pub(crate) fn belief<M: Message>(&mut self, belief: &M) {
         let quality = belief.quality();
-        if let Some(size) = quality.effective_sample_size {
-            self.effective = (self.effective.0 + size, self.effective.1 + 1);
+        add(&mut self.effective, quality.effective_sample_size);
+        add(&mut self.components, quality.components.map(|count| count as f64));
+        if let Some(product) = quality.product {
+            *self.methods.entry(product.method).or_default() += 1;
+            add(&mut self.divergences, product.divergence);
+            add(&mut self.label_changes, product.label_change);
         }
         self.lose("belief", quality);
     }
@@ -46,11 +63,22 @@ impl Costs {
         }
     }
 
-    /// Writes `n_eff` and `conversion_loss.KIND`; a loss that no number bounds is told in words.
+    /// Writes `n_eff`, `components`, `product_quality.divergence` and `.label_change`, and `conversion_loss.KIND`; how
+    /// products were found, and a loss that no number bounds, are told in words.
     pub(crate) fn report(self, method: &mut MethodRun) {
-        let (sum, count) = self.effective;
-        if count > 0 {
-            method.diagnose("n_eff", sum / f64::from(count));
+        let means = [
+            ("n_eff", self.effective),
+            ("components", self.components),
+            ("product_quality.divergence", self.divergences),
+            ("product_quality.label_change", self.label_changes),
+        ];
+        for (name, (sum, count)) in means.into_iter().filter(|(_, (_, count))| *count > 0) {
+            method.diagnose(name, sum / f64::from(count));
+        }
+        if !self.methods.is_empty() {
+            let found: Vec<String> =
+                self.methods.iter().map(|(name, count)| format!("{name} {count}")).collect();
+            method.notes.push(format!("products of mixtures found by: {}", found.join(", ")));
         }
         for (kind, (sum, count)) in self.losses {
             method.diagnose(&format!("conversion_loss.{kind}"), sum / f64::from(count));

@@ -45,8 +45,8 @@ pub mod prelude {
         Stop, Stream, Topology, VariableId, Window, WindowVariable,
     };
     pub use sumprod_messages::{
-        AnyForm, AnyMessage, DynamicGaussian, Gaussian, GaussianForm, Linearisation, Moments, Particles,
-        ParticlesForm, Proposal,
+        AnyForm, AnyMessage, DynamicGaussian, Gaussian, GaussianForm, Linearisation, Mixture, MixtureForm,
+        MixtureMessage, Moments, Particles, ParticlesForm, ProductChoice, Proposal,
     };
     pub use sumprod_models::library::*;
     pub use sumprod_models::{
