@@ -1,5 +1,7 @@
 //! Every example runs, and finds its own answer right: each returns an error where it does not.
 
+#[path = "../examples/encoder_calibration.rs"]
+mod encoder_calibration;
 #[path = "../examples/linear_chain.rs"]
 mod linear_chain;
 #[path = "../examples/own_factor.rs"]
@@ -10,6 +12,8 @@ mod own_message;
 mod own_schedule;
 #[path = "../examples/p_mpa.rs"]
 mod p_mpa;
+#[path = "../examples/swap_forms.rs"]
+mod swap_forms;
 
 macro_rules! run {
     ($($example:ident),*) => {$(
@@ -22,5 +26,5 @@ macro_rules! run {
 
 /// One test per example, by its name.
 mod of {
-    run!(linear_chain, own_factor, own_message, own_schedule, p_mpa);
+    run!(encoder_calibration, linear_chain, own_factor, own_message, own_schedule, p_mpa, swap_forms);
 }

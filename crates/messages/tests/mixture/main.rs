@@ -5,6 +5,7 @@
 mod common;
 mod density;
 mod family;
+mod messages;
 mod product_errors;
 mod product_golden;
 mod product_labels;
