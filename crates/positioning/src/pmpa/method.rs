@@ -196,6 +196,7 @@ impl MethodSettings {
     pub fn kernel_count(&self) -> usize {
         match self.prediction_form() {
             AnyForm::Particles(form) => form.count,
+            AnyForm::Mixture(form) => form.components,
             AnyForm::Gaussian(_) => 1,
         }
     }
