@@ -101,9 +101,9 @@ fn potential_to_gaussian(potential: &Potential) -> Result<(DynamicGaussian, f64)
 }
 
 impl Mixture {
-    /// Divergence (nats) from this mixture p to the Gaussian q of its moments: the mean of ln p - ln q over the 2d
-    /// cubature points of every component, exact where both logarithms are quadratic there, and at most
-    /// ½ (ln |P| - Σ wᵢ ln |Cᵢ|).
+    /// Divergence (nats) from this mixture p to the Gaussian q of its moments: the mean of ln p - ln q over the centre
+    /// and the 2d points at √3 (beyond three coordinates, √d) standard deviations of every component, which is exact
+    /// where both logarithms are cubic there.
     fn gaussian_loss(&self, moments: &Moments) -> Result<f64, MessageError> {
         if self.len() == 1 {
             return Ok(0.0);
@@ -120,18 +120,22 @@ impl Mixture {
         let space = Space::new(density.coordinates());
         let (mean, covariance) = (moments.mean.clone(), moments.covariance.clone());
         let gaussian = Self::with_shared_covariance(&space, vec![0.0], mean, covariance)?;
-        let spread = (d as f64).sqrt();
+        let squared = (d as f64).max(3.0);
+        let spread = squared.sqrt();
         let mut loss = 0.0;
         let mut point = Small::from_elem(0.0, d);
         for (i, weight) in density.weights().iter().enumerate() {
             let Some(factor) = root(density.covariance_of(i), d) else { continue };
+            let mean = density.mean_of(i);
+            let at_centre = density.log_density(mean)? - gaussian.log_density(mean)?;
+            loss += weight * (1.0 - d as f64 / squared) * at_centre;
             for column in 0..d {
                 for sign in [spread, -spread] {
                     for (row, x) in point.iter_mut().enumerate() {
-                        *x = density.mean_of(i)[row] + sign * factor[row * d + column];
+                        *x = mean[row] + sign * factor[row * d + column];
                     }
                     let log = density.log_density(&point)? - gaussian.log_density(&point)?;
-                    loss += weight * log / (2 * d) as f64;
+                    loss += weight * log / (2.0 * squared);
                 }
             }
         }
