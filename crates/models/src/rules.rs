@@ -11,8 +11,8 @@ use smallvec::SmallVec;
 use std::f64::consts::TAU;
 use sumprod_graph::{Coordinate, Incoming, MessageError, Port, Stream};
 use sumprod_messages::{
-    DynamicGaussian, GaussianFamily, GaussianForm, Mixture, MixtureFamily, MixtureForm, MixtureMessage,
-    ParticleFamily, Particles, ParticlesForm,
+    BandwidthChoice, DynamicGaussian, GaussianFamily, GaussianForm, Mixture, MixtureFamily, MixtureForm,
+    MixtureMessage, ParticleFamily, Particles, ParticlesForm,
 };
 
 /// What a Gaussian rule sees of the messages and beliefs at a factor's ports, whatever their family.
@@ -239,7 +239,9 @@ impl<M: GaussianFamily + MixtureFamily> MixtureView for WithForm<'_, '_, M> {
         if !belief.is_proper() {
             return None;
         }
-        belief.read_mixture(self.form).ok().and_then(|(belief, _)| belief.to_density().ok())
+        // Kernels of a simple rule will do to say where components are worth spending.
+        let form = MixtureForm { bandwidth: BandwidthChoice::Silverman, ..*self.form };
+        belief.read_mixture(&form).ok().and_then(|(belief, _)| belief.to_density().ok())
     }
 
     fn coordinates(&self, port: Port) -> &[Coordinate] {
