@@ -2,7 +2,7 @@
 
 use super::super::Mixture;
 use super::chains::Chains;
-use super::gibbs::{warn_of_few_sweeps, warn_of_stuck_labels};
+use super::gibbs::{warn_of_bias, warn_of_few_sweeps};
 use super::{Exact, GibbsStart, Product, ProductMethod, absorb, check};
 use sumprod_graph::{MessageError, Stream};
 
@@ -62,7 +62,7 @@ impl ProductMethod for AnnealedGibbs {
         let mut product = state.finish(self.name(), &labels, change, &mut random)?;
         product.log_normaliser = product.log_normaliser.map(|log| log + log_normaliser);
         warn_of_few_sweeps(self.sweeps, &mut product);
-        warn_of_stuck_labels(&mut product);
+        warn_of_bias(&mut product);
         Ok(product)
     }
 }

@@ -102,7 +102,7 @@ impl ProductMethod for Gibbs {
         let mut product = state.finish(self.name(), &labels, change, &mut random)?;
         product.log_normaliser = product.log_normaliser.map(|log| log + log_normaliser);
         warn_of_few_sweeps(self.sweeps, &mut product);
-        warn_of_stuck_labels(&mut product);
+        warn_of_bias(&mut product);
         Ok(product)
     }
 }
@@ -114,12 +114,27 @@ pub(super) fn warn_of_few_sweeps(sweeps: usize, product: &mut Product) {
     }
 }
 
-pub(super) fn warn_of_stuck_labels(product: &mut Product) {
-    if let Some(change) = product.quality.label_change.filter(|&change| change < 0.05) {
+/// Divergence (nats), times the number of chains, above which chains are biased: a shift of the mean by four standard
+/// errors is one of 8, and chance alone one of a few.
+const BIASED: f64 = 20.0;
+
+/// Warns of labels that no longer move, and of points whose density is not the product's.
+pub(super) fn warn_of_bias(product: &mut Product) {
+    let chains = product.particles.len() as f64;
+    let remedy = "use an exact, pairwise or multiscale product";
+    let warning = if let Some(change) = product.quality.label_change.filter(|&change| change < 0.05) {
         let percent = 100.0 * change;
-        product.quality.warnings.push(format!(
+        format!(
             "the last sweep changed {percent:.1} % of the labels: the chains are stuck, and masses of modes are \
-             those of their start; use an exact, pairwise or multiscale product"
-        ));
-    }
+             those of their start; {remedy}"
+        )
+    } else if let Some(divergence) = product.quality.divergence.filter(|&value| value * chains > BIASED) {
+        format!(
+            "the chains' points differ from the product by {divergence:.3} nats, more than by chance: masses of its \
+             modes are still those of their start; {remedy}"
+        )
+    } else {
+        return;
+    };
+    product.quality.warnings.push(warning);
 }

@@ -8,7 +8,7 @@
 
 use super::super::Mixture;
 use super::chains::Chains;
-use super::gibbs::{Gibbs, warn_of_few_sweeps, warn_of_stuck_labels};
+use super::gibbs::{Gibbs, warn_of_bias, warn_of_few_sweeps};
 use super::{GibbsStart, Product, ProductMethod, check};
 use crate::Particles;
 use sumprod_graph::{MessageError, Stream};
@@ -99,7 +99,7 @@ impl ProductMethod for Literal {
         // The quality is measured against the product of the printed kernels; no normaliser of the inputs' own.
         product.log_normaliser = None;
         warn_of_few_sweeps(self.sweeps, &mut product);
-        warn_of_stuck_labels(&mut product);
+        warn_of_bias(&mut product);
         Ok(product)
     }
 }

@@ -14,7 +14,7 @@ use super::super::Mixture;
 use super::super::small::{Pair, Small, difference, multiply, whitener};
 use super::super::tree::{Merged, Tree, merge};
 use super::chains::Chains;
-use super::gibbs::warn_of_stuck_labels;
+use super::gibbs::warn_of_bias;
 use super::{Exact, Product, ProductMethod, absorb, check, comb};
 use crate::vector::exponentials;
 use rand::RngExt;
@@ -58,7 +58,7 @@ impl ProductMethod for MultiscaleGibbs {
         let finest = Chains::new(factors.iter().map(AsRef::as_ref));
         let mut product = finest.finish(self.name(), &labels, change, &mut random)?;
         product.log_normaliser = product.log_normaliser.map(|log| log + log_normaliser);
-        warn_of_stuck_labels(&mut product);
+        warn_of_bias(&mut product);
         Ok(product)
     }
 }
