@@ -13,6 +13,7 @@ chapters! {
     GettingStarted: "../../../docs/src/getting-started.md",
     Graphs: "../../../docs/src/graphs.md",
     Messages: "../../../docs/src/messages.md",
+    Products: "../../../docs/src/products.md",
     Rules: "../../../docs/src/rules.md",
     Schedules: "../../../docs/src/schedules.md",
     Time: "../../../docs/src/time.md",

@@ -8,8 +8,8 @@
 //! | range | evenly on the circle about p_j, R | N draws: distance N(z, R), any angle; N^(1/6) |
 //! | velocity | given the position: vᵢ + (2/T)(p - F xᵢ) | copied from the chosen prediction |
 //!
-//! A ring of kernels of variance R has the radial profile I₀-shaped, not N(ρ; z, R); points are weighed by what that
-//! leaves, and redrawn by their weights. A predicted particle's share in a point p of the product is that of its
+//! A ring of kernels has nearly the radial profile N(ρ; z, R) ρ^(-1/2), where the likelihood of a range has N(ρ; z, R):
+//! points are weighed by the ratio of the two, and redrawn by their weights. A predicted particle's share in a point p of the product is that of its
 //! kernel in the prediction's density at p, whatever the other messages are.
 //!
 //! Source: Fan, Wang, Zhou (2018), sections 2.3 and 3, for the printed form. Its prose has a label drawn given the

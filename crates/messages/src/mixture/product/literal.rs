@@ -2,9 +2,9 @@
 //!
 //! Fan, Wang, Zhou (2018), "Cooperative positioning based on message passing", section 2.3.2: every kernel has the
 //! variance N^(1/6) (in squared units of the state, whatever the kernels' own covariances; a mixture of one component,
-//! which no particles stand for, keeps its own), chains start with
-//! independent labels, and the new label is weighted by ω N(x; μ̄, σ̄) N(x; μ_j, σ_j) / N(x; μ̄ⁱ, σ̄ⁱ) with (μ̄, σ̄) the
-//! product of all chosen kernels, so that the kernel to be replaced is counted as well.
+//! which no particles stand for, keeps its own), chains start with independent labels, and the new label
+//! is weighted by ω N(x; μ̄, σ̄) N(x; μ_j, σ_j) / N(x; μ̄ⁱ, σ̄ⁱ) with (μ̄, σ̄) the product of all chosen kernels, so that
+//! the kernel to be replaced is counted as well.
 
 use super::super::Mixture;
 use super::chains::Chains;
