@@ -2,6 +2,8 @@
 
 #[path = "../examples/encoder_calibration.rs"]
 mod encoder_calibration;
+#[path = "../examples/filters.rs"]
+mod filters;
 #[path = "../examples/linear_chain.rs"]
 mod linear_chain;
 #[path = "../examples/own_factor.rs"]
@@ -26,5 +28,7 @@ macro_rules! run {
 
 /// One test per example, by its name.
 mod of {
-    run!(encoder_calibration, linear_chain, own_factor, own_message, own_schedule, p_mpa, swap_forms);
+    run!(
+        encoder_calibration, filters, linear_chain, own_factor, own_message, own_schedule, p_mpa, swap_forms
+    );
 }

@@ -16,6 +16,6 @@ mod particle;
 mod verbs;
 
 pub use error::FilterError;
-pub use gaussian::{Approximation, GaussianRecord, Kalman, Prediction, Square};
-pub use particle::{ParticleFilter, ParticleRecord, Recovery};
+pub use gaussian::{Approximation, GaussianRecord, Imm, Kalman, ModeRecord, Prediction, Square, SquareRoot};
+pub use particle::{MoveReport, ParticleFilter, ParticleRecord, RaoBlackwellised, Recovery};
 pub use verbs::{Correct, Correction, Filter, Predict, Run, Smooth, Step};

@@ -9,7 +9,7 @@ mod weigh;
 
 pub use select::{Selection, select};
 pub(crate) use weigh::each_point;
-pub use weigh::{Likelihood, LogLikelihood, Residuals};
+pub use weigh::{Likelihood, LogLikelihood, Residuals, log_values};
 
 use crate::packed::{Packed, WIDTH, looked};
 use crate::{Motion, ProcessNoise};
@@ -33,6 +33,15 @@ impl Cloud {
     /// `count` particles of this dimension, all at the origin.
     pub fn new(dimension: usize, count: usize) -> Self {
         Self { dimension, count, values: vec![0.0; count.div_ceil(BLOCK) * BLOCK * dimension] }
+    }
+
+    /// Particles of this dimension, point by point.
+    pub fn from_points(dimension: usize, points: &[f64]) -> Self {
+        let mut cloud = Self::new(dimension, points.len() / dimension.max(1));
+        for (particle, point) in points.chunks_exact(dimension.max(1)).enumerate() {
+            point.iter().enumerate().for_each(|(k, x)| cloud.set(particle, k, *x));
+        }
+        cloud
     }
 
     /// Number of coordinates.
@@ -106,6 +115,37 @@ impl Cloud {
     }
 }
 
+/// The particles that those of a block move from.
+#[derive(Clone, Copy, Debug)]
+pub struct Source<'a> {
+    /// Where they are.
+    pub cloud: &'a Cloud,
+    /// The first of the block's.
+    pub first: usize,
+    /// Which each of the block's moves from, where that is not the one of its own number.
+    pub ancestors: Option<&'a [u32]>,
+}
+
+impl Source<'_> {
+    #[inline(always)]
+    fn particle(&self, i: usize) -> usize {
+        match self.ancestors {
+            Some(ancestors) => ancestors[i] as usize,
+            None => self.first + i,
+        }
+    }
+
+    /// Where the first coordinate of the particle that the i-th moves from lies.
+    #[inline(always)]
+    fn place(&self, i: usize) -> usize {
+        self.cloud.place(self.particle(i), 0)
+    }
+
+    fn read(&self, i: usize, out: &mut [f64]) {
+        self.cloud.read(self.particle(i), out);
+    }
+}
+
 /// A motion ready to move many particles.
 pub struct Mover<'a, M> {
     motion: &'a M,
@@ -135,11 +175,11 @@ impl<'a, M: Motion> Mover<'a, M> {
 
     /// Moves `count` (at most [`BLOCK`]) particles by x' = f(x) + B z into a block.
     ///
-    /// `from` gives a coordinate of the particle that the i-th moves from; `draws` is working storage.
+    /// `draws` is working storage.
     pub fn advance(
         &self,
         count: usize,
-        from: impl Fn(usize, usize) -> f64 + Copy,
+        from: Source<'_>,
         random: &mut FastStream,
         draws: &mut Vec<f64>,
         block: &mut [f64],
@@ -160,14 +200,14 @@ impl<'a, M: Motion> Mover<'a, M> {
     }
 
     /// Writes f(x) of `count` particles, without noise, into a block; angles are not wrapped.
-    pub fn centres(&self, count: usize, from: impl Fn(usize, usize) -> f64 + Copy, block: &mut [f64]) {
+    pub fn centres(&self, count: usize, from: Source<'_>, block: &mut [f64]) {
         looked();
         vector::widest(Step { motion: self.motion, count, from, block });
         if looked() {
             let d = self.motion.dimension();
             let (mut x, mut next) = (values(d, 0.0), values(d, 0.0));
             for i in 0..count {
-                x.iter_mut().enumerate().for_each(|(k, x)| *x = from(i, k));
+                from.read(i, &mut x);
                 self.motion.step(&x, &mut next);
                 next.iter().enumerate().for_each(|(k, next)| block[k * BLOCK + i] = *next);
             }
@@ -175,16 +215,10 @@ impl<'a, M: Motion> Mover<'a, M> {
     }
 
     /// Noise that depends on the state, one particle at a time.
-    fn add_noise(
-        &self,
-        count: usize,
-        from: impl Fn(usize, usize) -> f64,
-        random: &mut FastStream,
-        block: &mut [f64],
-    ) {
+    fn add_noise(&self, count: usize, from: Source<'_>, random: &mut FastStream, block: &mut [f64]) {
         let mut x = values(self.motion.dimension(), 0.0);
         for i in 0..count {
-            x.iter_mut().enumerate().for_each(|(k, x)| *x = from(i, k));
+            from.read(i, &mut x);
             let noise = self.motion.noise(&x);
             for source in 0..noise.sources() {
                 let z: f64 = StandardNormal.sample(random);
@@ -217,14 +251,14 @@ fn values<T: Copy>(count: usize, value: T) -> SmallVec<[T; 6]> {
     SmallVec::from_elem(value, count)
 }
 
-struct Step<'a, M, F> {
+struct Step<'a, M> {
     motion: &'a M,
     count: usize,
-    from: F,
+    from: Source<'a>,
     block: &'a mut [f64],
 }
 
-impl<M: Motion, F: Fn(usize, usize) -> f64> pulp::NullaryFnOnce for Step<'_, M, F> {
+impl<M: Motion> pulp::NullaryFnOnce for Step<'_, M> {
     type Output = ();
 
     #[inline(always)]
@@ -233,9 +267,12 @@ impl<M: Motion, F: Fn(usize, usize) -> f64> pulp::NullaryFnOnce for Step<'_, M, 
         let (mut x, mut next) = (values(d, Packed::from(0.0)), values(d, Packed::from(0.0)));
         for first in (0..self.count).step_by(WIDTH) {
             let last = (self.count - 1).min(first + WIDTH - 1);
+            let places: [usize; WIDTH] =
+                std::array::from_fn(|lane| self.from.place((first + lane).min(last)));
             for (k, x) in x.iter_mut().enumerate() {
-                for (lane, x) in x.0.iter_mut().enumerate() {
-                    *x = (self.from)((first + lane).min(last), k);
+                let column = &self.from.cloud.values[k * BLOCK..];
+                for (x, place) in x.0.iter_mut().zip(places) {
+                    *x = column[place];
                 }
             }
             self.motion.step(&x, &mut next);

@@ -4,6 +4,10 @@
 //! Matrices are row-major slices. The functions are inlined, so that where a caller's dimension is fixed at compile
 //! time their loops are unrolled.
 
+mod sigma;
+
+pub use sigma::{SigmaMoments, SigmaPoints, semidefinite_factor, sigma_moments};
+
 use crate::dual::{Lanes, differentiate};
 use crate::small::{Matrix, Vector, symmetrise};
 use crate::{Motion, Noise};
@@ -117,14 +121,7 @@ pub fn correct(line: Line<'_>, mean: &mut [f64], covariance: &mut [f64]) -> Resu
     cross_covariance(line.jacobian, covariance, d, &mut cross);
     let mut spread: SmallVec<[f64; 9]> = SmallVec::from_slice(line.noise);
     add_product_transposed(&cross, line.jacobian, d, &mut spread);
-    let factor = Cholesky::new(&spread, m, "the innovation covariance")?;
-    // Column by column, the gain: row k of `gain` is K's column k.
-    let mut gain = cross.clone();
-    for column in 0..d {
-        let mut solved: Vector = (0..m).map(|row| cross[row * d + column]).collect();
-        factor.solve(&mut solved);
-        solved.iter().enumerate().for_each(|(row, value)| gain[row * d + column] = *value);
-    }
+    let Gain { gain, log_likelihood } = gain(line.value, &cross, &spread, d)?;
     for (gain, value) in gain.chunks_exact(d).zip(line.value) {
         mean.iter_mut().zip(gain).for_each(|(x, gain)| *x -= gain * value);
     }
@@ -148,8 +145,88 @@ pub fn correct(line: Line<'_>, mean: &mut [f64], covariance: &mut [f64]) -> Resu
         }
     }
     symmetrise(covariance, d);
-    let mut innovation = Vector::from_slice(line.value);
+    Ok(Corrected { log_likelihood, innovation_covariance: spread })
+}
+
+struct Gain {
+    /// Row k is the gain's column k.
+    gain: Matrix,
+    log_likelihood: f64,
+}
+
+/// The gain C' S⁻¹ of a residual r of covariance S (m by m) whose cross-covariance with the state is C (m by d), and
+/// log N(r; 0, S).
+#[inline(always)]
+fn gain(value: &[f64], cross: &[f64], spread: &[f64], d: usize) -> Result<Gain, MessageError> {
+    let m = value.len();
+    let factor = Cholesky::new(spread, m, "the innovation covariance")?;
+    let mut gain = Matrix::from_slice(cross);
+    for column in 0..d {
+        let mut solved: Vector = (0..m).map(|row| cross[row * d + column]).collect();
+        factor.solve(&mut solved);
+        solved.iter().enumerate().for_each(|(row, value)| gain[row * d + column] = *value);
+    }
+    let mut innovation = Vector::from_slice(value);
     let squared = factor.squared_length(&mut innovation);
     let log_likelihood = -0.5 * (squared + factor.log_determinant() + m as f64 * TAU.ln());
-    Ok(Corrected { log_likelihood, innovation_covariance: spread })
+    Ok(Gain { gain, log_likelihood })
+}
+
+/// Corrects a mean and a covariance by a residual's regression on the state: its mean r, covariance S and
+/// cross-covariance with the state C (m by d). m ← m - K r, P ← P - K C with K = C' S⁻¹.
+///
+/// # Errors
+///
+/// Where S is not positive definite; mean and covariance are then as before.
+#[inline(always)]
+pub fn correct_by_regression(
+    value: &[f64],
+    cross: &[f64],
+    spread: &[f64],
+    mean: &mut [f64],
+    covariance: &mut [f64],
+) -> Result<Corrected, MessageError> {
+    let d = mean.len();
+    let Gain { gain, log_likelihood } = gain(value, cross, spread, d)?;
+    for ((gain, cross), value) in gain.chunks_exact(d).zip(cross.chunks_exact(d)).zip(value) {
+        mean.iter_mut().zip(gain).for_each(|(x, gain)| *x -= gain * value);
+        for (row, gain) in covariance.chunks_exact_mut(d).zip(gain) {
+            row.iter_mut().zip(cross).for_each(|(p, cross)| *p -= gain * cross);
+        }
+    }
+    symmetrise(covariance, d);
+    Ok(Corrected { log_likelihood, innovation_covariance: SmallVec::from_slice(spread) })
+}
+
+/// Log density of a residual of heavy-tailed noise at a state of this covariance P: the Student-t distribution of the
+/// noise's degrees of freedom and scale J P J' + R, which has the tails of the exact one and its spread for small P.
+///
+/// # Errors
+///
+/// Where the scale is not positive definite.
+pub fn heavy_log_density(
+    noise: &Noise,
+    value: &[f64],
+    jacobian: &[f64],
+    covariance: &[f64],
+) -> Result<f64, MessageError> {
+    let (m, d) = (value.len(), covariance.len().isqrt());
+    let mut cross = Matrix::from_elem(0.0, m * d);
+    cross_covariance(jacobian, covariance, d, &mut cross);
+    let mut scale: SmallVec<[f64; 9]> = SmallVec::from_slice(noise.covariance());
+    add_product_transposed(&cross, jacobian, d, &mut scale);
+    symmetrise(&mut scale, m);
+    let wide = Noise::gaussian(&scale).and_then(|wide| match noise.degrees_of_freedom() {
+        Some(nu) => wide.student_t(nu),
+        None => Ok(wide),
+    });
+    match wide {
+        Ok(wide) => Ok(wide.log_density(value)),
+        Err(error) => Err(MessageError::Unsupported(format!("the innovation's scale: {error}"))),
+    }
+}
+
+/// A generalised inverse of a symmetric positive semidefinite matrix (row-major), by its own units.
+pub fn generalised_inverse(matrix: &[f64], d: usize) -> Vec<f64> {
+    crate::small::generalised_inverse(matrix, d).to_vec()
 }

@@ -4,7 +4,7 @@
 
 use crate::moments::{linearise_motion, predict_covariance};
 use crate::rules::mixture::motion::{Retrodiction, predict};
-use crate::rules::particles::Guided;
+use crate::rules::particles::{Guided, plain};
 use crate::rules::{GaussianDraft, GaussianView, MixtureView, ParticleView, mixture};
 use crate::small::{
     Matrix, Proper, Vector, WELL_CONDITIONED, check_symmetric, invert, multiply, multiply_add, proper, solve,
@@ -380,7 +380,7 @@ impl<T: Motion> Rules for Transition<T> {
             Guided { step: &step, linearise: &linear, noise: &noise, coordinates: view.coordinates(1) };
         match guide {
             Some(guide) => prediction.guided(&sample, guide, form, stream, out)?,
-            None => prediction.plain(&sample, form.count, stream, out)?,
+            None => plain(&self.motion, view.coordinates(1), &sample, form.count, stream, out)?,
         }
         Ok(loss)
     }

@@ -161,7 +161,7 @@ impl Noise {
     }
 
     /// E r'R⁻¹r = r̄'R⁻¹r̄ + tr R⁻¹V for a residual of mean r̄ and covariance V (row-major).
-    pub(crate) fn expected_squared_length(&self, mean: &[f64], covariance: &[f64]) -> f64 {
+    pub fn expected_squared_length(&self, mean: &[f64], covariance: &[f64]) -> f64 {
         let trace: f64 = self.information.iter().zip(covariance).map(|(w, v)| w * v).sum();
         self.squared_length(mean) + trace
     }

@@ -3,6 +3,7 @@
 use nalgebra::DMatrix;
 use sumprod_graph::MessageError;
 use sumprod_messages::Moments;
+use sumprod_models::Residual;
 
 use crate::FilterError;
 
@@ -42,6 +43,22 @@ pub(crate) fn distribution(moments: &Moments, dimension: usize) -> Result<(), Fi
             value,
         })),
         None => Ok(()),
+    }
+}
+
+/// Checks that a residual is of one variable of this dimension.
+///
+/// # Errors
+///
+/// The dimension found.
+pub(crate) fn measured<R: Residual>(residual: &R, expected: usize) -> Result<(), MessageError> {
+    match residual.dimensions() {
+        [found] if *found == expected => Ok(()),
+        [found] => Err(MessageError::Dimension { what: "the measured state", found: *found, expected }),
+        ports => {
+            let what = "the list of a measurement's variables";
+            Err(MessageError::Dimension { what, found: ports.len(), expected: 1 })
+        }
     }
 }
 

@@ -4,13 +4,16 @@
 //! K = P J' S⁻¹, m ← m - K r, P ← (I - K J) P (I - K J)' + K R K'. Source: Kalman 1960; the form of P is Joseph's.
 
 use smallvec::SmallVec;
-use sumprod_graph::MessageError;
+use sumprod_graph::{MessageError, wrap_angle};
 use sumprod_messages::Moments;
-use sumprod_models::moments::{Line, correct, linearise_motion, noise_against, predict_covariance};
+use sumprod_models::moments::{
+    Line, SigmaMoments, SigmaPoints, add_product_transposed, correct, correct_by_regression,
+    linearise_motion, noise_against, predict_covariance, semidefinite_factor, sigma_moments,
+};
 use sumprod_models::{Linearised, Motion, Residual, ResidualModel};
 
-use super::{Approximation, checks};
-use crate::{Correct, Correction, Filter, FilterError, Predict};
+use super::{Approximation, checks, rts};
+use crate::{Correct, Correction, Filter, FilterError, Predict, Run, Smooth};
 
 /// A square matrix, row by row.
 pub type Square<const D: usize> = [[f64; D]; D];
@@ -105,15 +108,14 @@ impl<const D: usize> Kalman<D> {
 
     /// Corrects by the line that the approximation gives, from the prediction as it is.
     fn corrected<R: Residual>(&self, residual: &R) -> Result<(Self, Correction), MessageError> {
-        let found = residual.dimensions();
-        if found != [D] {
-            let found = if let [one] = found { *one } else { found.iter().sum() };
-            return Err(MessageError::Dimension { what: "the measured state", found, expected: D });
-        }
+        checks::measured(residual, D)?;
         let steps = match self.approximation {
-            Approximation::FirstOrder => 1,
             Approximation::Iterated(most) => most.max(1),
+            _ => 1,
         };
+        if let Some(points) = self.approximation.points(D) {
+            return self.regressed(points, residual);
+        }
         let mut at = self.mean;
         let mut step = 0;
         loop {
@@ -168,6 +170,78 @@ impl<const D: usize> Kalman<D> {
     }
 }
 
+impl<const D: usize> Kalman<D> {
+    /// Takes other moments in the middle of a step.
+    pub(crate) fn stand_at(&mut self, mean: [f64; D], covariance: Square<D>) {
+        (self.mean, self.covariance) = (mean, covariance);
+    }
+
+    /// The posterior by sigma points.
+    fn regressed<R: Residual>(
+        &self,
+        points: SigmaPoints,
+        residual: &R,
+    ) -> Result<(Self, Correction), MessageError> {
+        let mut lower = [[0.0; D]; D];
+        let covariance = self.covariance.as_flattened();
+        semidefinite_factor(covariance, D, "the covariance", lower.as_flattened_mut())?;
+        let model = ResidualModel(residual);
+        let angles = residual.angles();
+        let SigmaMoments { mean: mut value, covariance: mut spread, cross } = sigma_moments(
+            points,
+            &self.mean,
+            lower.as_flattened(),
+            residual.noise().dimension(),
+            |x, out| model.evaluate(x, out),
+            |difference| angles.iter().for_each(|&k| difference[k] = wrap_angle(difference[k])),
+        );
+        let noise = residual.noise();
+        let share = match noise.degrees_of_freedom() {
+            None => 1.0,
+            Some(_) => noise.weight(noise.expected_squared_length(&value, &spread)),
+        };
+        spread.iter_mut().zip(noise.covariance()).for_each(|(sum, own)| *sum += own / share);
+        let mut posterior = self.clone();
+        let flat = posterior.covariance.as_flattened_mut();
+        let found = correct_by_regression(&value, &cross, &spread, &mut posterior.mean, flat)?;
+        checks::step(&posterior.mean, posterior.covariance.as_flattened(), "the corrected covariance")?;
+        value.iter_mut().for_each(|value| *value = -*value);
+        let correction = Correction {
+            log_likelihood: found.log_likelihood,
+            innovation: value,
+            innovation_covariance: found.innovation_covariance,
+            recovered: false,
+        };
+        Ok((posterior, correction))
+    }
+
+    /// Mean, covariance and cross-covariance of f(x), without noise.
+    #[inline(always)]
+    fn pass_through<M: Motion>(&self, motion: &M) -> Result<Prediction<D>, MessageError> {
+        let zero = [[0.0; D]; D];
+        let mut next = Prediction { mean: [0.0; D], covariance: zero, cross: zero };
+        let covariance = self.covariance.as_flattened();
+        match self.approximation.points(D) {
+            None => {
+                let mut jacobian = zero;
+                linearise_motion(motion, &self.mean, &mut next.mean, jacobian.as_flattened_mut());
+                let (cross, predicted) = (next.cross.as_flattened_mut(), next.covariance.as_flattened_mut());
+                predict_covariance(jacobian.as_flattened(), covariance, &[], D, cross, predicted);
+            }
+            Some(points) => {
+                let mut lower = zero;
+                semidefinite_factor(covariance, D, "the covariance", lower.as_flattened_mut())?;
+                let step = |x: &[f64], out: &mut [f64]| motion.step(x, out);
+                let found = sigma_moments(points, &self.mean, lower.as_flattened(), D, step, |_| ());
+                next.mean.copy_from_slice(&found.mean);
+                next.cross.as_flattened_mut().copy_from_slice(&found.cross);
+                next.covariance.as_flattened_mut().copy_from_slice(&found.covariance);
+            }
+        }
+        Ok(next)
+    }
+}
+
 impl<const D: usize, M: Motion> Predict<M> for Kalman<D> {
     #[inline]
     fn predict(&mut self, motion: &M) -> Result<(), FilterError> {
@@ -176,10 +250,7 @@ impl<const D: usize, M: Motion> Predict<M> for Kalman<D> {
             let (found, expected) = (motion.dimension(), D);
             return Err(failed(MessageError::Dimension { what: "the motion", found, expected }));
         }
-        let zero = [[0.0; D]; D];
-        let mut next = Prediction { mean: [0.0; D], covariance: zero, cross: zero };
-        let mut jacobian = zero;
-        linearise_motion(motion, &self.mean, &mut next.mean, jacobian.as_flattened_mut());
+        let mut next = self.pass_through(motion).map_err(&failed)?;
         let own;
         let noise = match motion.constant_noise() {
             Some(noise) => noise,
@@ -188,14 +259,8 @@ impl<const D: usize, M: Motion> Predict<M> for Kalman<D> {
                 &own
             }
         };
-        predict_covariance(
-            jacobian.as_flattened(),
-            self.covariance.as_flattened(),
-            noise.factor(),
-            D,
-            next.cross.as_flattened_mut(),
-            next.covariance.as_flattened_mut(),
-        );
+        let predicted = next.covariance.as_flattened_mut();
+        add_product_transposed(noise.factor(), noise.factor(), noise.sources(), predicted);
         checks::step(&next.mean, next.covariance.as_flattened(), "the predicted covariance")
             .map_err(failed)?;
         (self.mean, self.covariance, self.prediction) = (next.mean, next.covariance, next);
@@ -226,5 +291,14 @@ impl<const D: usize> Filter for Kalman<D> {
 
     fn record(&self) -> GaussianRecord<D> {
         GaussianRecord { prediction: self.prediction, mean: self.mean, covariance: self.covariance }
+    }
+}
+
+impl<const D: usize, M> Smooth<M> for Kalman<D> {
+    /// Each step's moments.
+    type Smoothed = Vec<Moments>;
+
+    fn smooth(&self, run: &Run<GaussianRecord<D>, M>) -> Result<Vec<Moments>, FilterError> {
+        Ok(rts::smooth(run))
     }
 }

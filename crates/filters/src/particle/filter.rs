@@ -5,12 +5,14 @@
 use rand::RngExt;
 use rayon::prelude::*;
 use smallvec::SmallVec;
-use sumprod_graph::{Coordinate, MessageError, Purpose, Space, Stream};
+use sumprod_graph::{Coordinate, MessageError, Purpose, Space, Stream, wrap_angle};
 use sumprod_messages::{Moments, Particles};
 use sumprod_models::Motion;
-use sumprod_models::cloud::{BLOCK, Cloud, Likelihood, Mover, select};
-use sumprod_optimizers::{Reselection, Trigger};
+use sumprod_models::cloud::{BLOCK, Cloud, Likelihood, Mover, Source, select};
+use sumprod_optimizers::{Move, Reselection, Trigger};
 
+use super::look_ahead::Ahead;
+use super::moves::MoveReport;
 use super::recovery::Recovery;
 use super::weights::{Weighing, Weights, largest, wrong};
 use super::{prior, summary};
@@ -44,25 +46,30 @@ const GATE: f64 = 37.6;
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 pub struct ParticleFilter {
-    coordinates: Vec<Coordinate>,
-    cloud: Cloud,
-    weights: Weights,
-    seed: u64,
-    step: u64,
+    pub(super) coordinates: Vec<Coordinate>,
+    pub(super) cloud: Cloud,
+    pub(super) weights: Weights,
+    pub(super) seed: u64,
+    pub(super) step: u64,
     trigger: Trigger,
     reselection: Option<Box<dyn Reselection>>,
     recovery: Recovery,
     gate: f64,
-    /// Corrections since the last prediction that drew something.
-    redrawn: u64,
-    scratch: Scratch,
+    pub(super) mover: Option<Box<dyn Move>>,
+    pub(super) move_report: Option<MoveReport>,
+    pub(super) looks_ahead: bool,
+    pub(super) ahead: Option<Ahead>,
+    /// Corrections since the last prediction.
+    pub(super) corrections: u64,
+    pub(super) evaluations: u64,
+    pub(super) scratch: Scratch,
 }
 
 /// Storage that steps use over again.
 #[derive(Default)]
-struct Scratch {
-    cloud: Cloud,
-    chosen: Vec<u32>,
+pub(super) struct Scratch {
+    pub(super) cloud: Cloud,
+    pub(super) chosen: Vec<u32>,
     weighing: Weighing,
 }
 
@@ -102,7 +109,12 @@ impl ParticleFilter {
             reselection: None,
             recovery: Recovery::default(),
             gate: GATE,
-            redrawn: 0,
+            mover: None,
+            move_report: None,
+            looks_ahead: false,
+            ahead: None,
+            corrections: 0,
+            evaluations: 0,
             scratch,
         })
     }
@@ -152,6 +164,15 @@ impl ParticleFilter {
     /// Effective sample size (Σ w)² / Σ w², between 1 and the number of particles.
     pub fn effective_sample_size(&self) -> f64 {
         self.weights.effective_sample_size()
+    }
+
+    /// Particles at which likelihoods were evaluated so far.
+    pub fn likelihood_evaluations(&self) -> u64 {
+        self.evaluations
+    }
+
+    pub(super) fn seed(&self) -> u64 {
+        self.seed
     }
 
     /// The particles.
@@ -205,7 +226,8 @@ impl ParticleFilter {
     }
 
     /// Weighs by a likelihood without asking whether it explains anything.
-    fn weigh<L: Likelihood>(&mut self, likelihood: &L) -> Result<Outcome, FilterError> {
+    pub(super) fn weigh<L: Likelihood>(&mut self, likelihood: &L) -> Result<Outcome, FilterError> {
+        self.evaluations += self.len() as u64;
         let parallel = self.parallel();
         let m = likelihood.components();
         let (cloud, weights) = (&self.cloud, &self.weights);
@@ -250,10 +272,33 @@ impl ParticleFilter {
         Ok(Outcome::Weighed(Correction { log_likelihood, innovation, ..Correction::default() }))
     }
 
+    /// Corrects in the way that the user chose.
+    fn attempt<L: Likelihood>(&mut self, likelihood: &L) -> Result<Outcome, FilterError> {
+        if let Some(mover) = self.mover.take() {
+            let outcome = self.move_towards(&*mover, likelihood);
+            self.mover = Some(mover);
+            return outcome;
+        }
+        match self.ahead.take() {
+            Some(ahead) => self.choose_and_weigh(&ahead, likelihood),
+            None => self.weigh(likelihood),
+        }
+    }
+
+    /// Brings the angles of the cloud in preparation into (-π, π].
+    pub(super) fn wrap_scratch(&mut self) {
+        let size = (BLOCK * self.coordinates.len()).max(1);
+        let angle = |(k, kind): (usize, &Coordinate)| (*kind == Coordinate::Angle).then_some(k);
+        for k in self.coordinates.iter().enumerate().filter_map(angle) {
+            for block in self.scratch.cloud.values_mut().chunks_mut(size) {
+                block[k * BLOCK..][..BLOCK].iter_mut().for_each(|x| *x = wrap_angle(*x));
+            }
+        }
+    }
+
     /// Makes the particles' next attempt, as the recovery has it.
     fn recover(&mut self) -> Result<(), FilterError> {
-        self.redrawn += 1;
-        let mut random = Stream::new(self.seed, self.step, Purpose::Belief, self.redrawn).fast();
+        let mut random = Stream::new(self.seed, self.step, Purpose::Belief, self.corrections).fast();
         match &self.recovery {
             Recovery::Fail | Recovery::KeepPrediction => Ok(()),
             Recovery::Redraw(from) => {
@@ -271,7 +316,8 @@ impl ParticleFilter {
     }
 }
 
-enum Outcome {
+/// How a correction ended.
+pub(super) enum Outcome {
     Weighed(Correction),
     Unexplained(String),
 }
@@ -284,19 +330,20 @@ impl<M: Motion> Predict<M> for ParticleFilter {
             let source = MessageError::Dimension { what: "the motion", found, expected };
             return Err(FilterError::Step { step: self.step, source });
         }
-        let reselected = self.reselect()?;
+        self.ahead = None;
+        if self.looks_ahead {
+            self.remember(motion);
+        }
+        let reselected = !self.looks_ahead && self.reselect()?;
         let mover = Mover::new(motion, &self.coordinates);
         let (seed, step, parallel, count) = (self.seed, self.step, self.parallel(), self.len());
         let (cloud, chosen) = (&self.cloud, &self.scratch.chosen);
         let advance = |draws: &mut Vec<f64>, (block, to): (usize, &mut [f64])| {
             let mut random = Stream::new(seed, step, Purpose::Message, block as u64).fast();
             let own = (count - block * BLOCK).min(BLOCK);
-            if reselected {
-                let ancestors = &chosen[block * BLOCK..][..own];
-                mover.advance(own, |i, k| cloud.at(ancestors[i] as usize, k), &mut random, draws, to);
-            } else {
-                mover.advance(own, |i, k| cloud.at(block * BLOCK + i, k), &mut random, draws, to);
-            }
+            let first = block * BLOCK;
+            let from = Source { cloud, first, ancestors: reselected.then(|| &chosen[first..][..own]) };
+            mover.advance(own, from, &mut random, draws, to);
         };
         let next = self.scratch.cloud.values_mut();
         if parallel {
@@ -315,7 +362,7 @@ impl<M: Motion> Predict<M> for ParticleFilter {
             self.weights.become_equal(count);
         }
         self.step += 1;
-        self.redrawn = 0;
+        self.corrections = 0;
         Ok(())
     }
 }
@@ -328,7 +375,8 @@ impl<L: Likelihood> Correct<L> for ParticleFilter {
             let source = MessageError::Dimension { what: "the measured state", found, expected: d };
             return Err(FilterError::Step { step: self.step, source });
         }
-        let how = match self.weigh(measurement)? {
+        self.corrections += 1;
+        let how = match self.attempt(measurement)? {
             Outcome::Weighed(correction) => return Ok(correction),
             Outcome::Unexplained(how) => how,
         };
@@ -341,7 +389,7 @@ impl<L: Likelihood> Correct<L> for ParticleFilter {
             }
             Recovery::Widen(_) | Recovery::Redraw(_) => {
                 let (cloud, weights) = (self.cloud.clone(), self.weights.clone());
-                let again = self.recover().and_then(|()| self.weigh(measurement));
+                let again = self.recover().and_then(|()| self.attempt(measurement));
                 match again {
                     Ok(Outcome::Weighed(correction)) => Ok(Correction { recovered: true, ..correction }),
                     Ok(Outcome::Unexplained(how)) => {

@@ -1,10 +1,16 @@
 //! Filters whose belief is weighted particles.
 
+mod backward;
 mod filter;
+mod look_ahead;
+mod moves;
 mod prior;
+mod rao_blackwellised;
 mod recovery;
 mod summary;
 mod weights;
 
 pub use filter::{ParticleFilter, ParticleRecord};
+pub use moves::MoveReport;
+pub use rao_blackwellised::RaoBlackwellised;
 pub use recovery::Recovery;

@@ -55,6 +55,21 @@ impl Weights {
         self.effective = count as f64;
     }
 
+    /// Takes these log weights, of any scale, of which one at least is finite.
+    pub(crate) fn become_logs(&mut self, logs: &[f64]) {
+        self.become_equal(logs.len());
+        let mut weighing = Weighing::default();
+        let sums = self.weigh(false, &mut weighing, |block, own| {
+            own.copy_from_slice(&logs[block * BLOCK..][..own.len()]);
+        });
+        self.commit(&mut weighing, &sums);
+    }
+
+    /// Log of the sum of exp(log weight).
+    pub(crate) fn log_total(&self) -> f64 {
+        self.log_total
+    }
+
     pub(crate) fn len(&self) -> usize {
         self.relative.len()
     }

@@ -2,7 +2,9 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests fail the test")]
 
+mod gaussian;
 mod kalman;
 mod misuse;
 mod particle;
 mod support;
+mod variants;

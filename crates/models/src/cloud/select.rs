@@ -6,6 +6,7 @@
 
 use super::BLOCK;
 use rayon::prelude::*;
+use sumprod_messages::vector;
 
 /// Weights by block: each block's own, relative, and the factor that makes them comparable.
 #[derive(Clone, Copy, Debug)]
@@ -41,7 +42,7 @@ pub fn select(selection: Selection<'_>, offset: f64, parallel: bool, chosen: &mu
         }
         first = end;
     }
-    let run = |job: &mut Job<'_>| job.run(selection, density, offset);
+    let run = |job: &mut Job<'_>| vector::widest(Place { job, selection, density, offset });
     if parallel { jobs.par_iter_mut().for_each(run) } else { jobs.iter_mut().for_each(run) }
 }
 
@@ -54,7 +55,25 @@ struct Job<'a> {
     own: &'a mut [u32],
 }
 
+/// Fills one block's places: compiled for the widest instructions, of which rounding up is one.
+struct Place<'a, 'b> {
+    job: &'a mut Job<'b>,
+    selection: Selection<'a>,
+    density: f64,
+    offset: f64,
+}
+
+impl pulp::NullaryFnOnce for Place<'_, '_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        self.job.run(self.selection, self.density, self.offset);
+    }
+}
+
 impl Job<'_> {
+    #[inline(always)]
     fn run(&mut self, selection: Selection<'_>, density: f64, offset: f64) {
         let start = self.block * BLOCK;
         let weights = &selection.weights[start..(start + BLOCK).min(selection.weights.len())];

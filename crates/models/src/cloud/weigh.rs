@@ -1,6 +1,6 @@
 //! A measurement's residuals and log densities at the particles of a block.
 
-use super::{BLOCK, values};
+use super::{BLOCK, Cloud, values};
 use crate::packed::{Packed, WIDTH, looked};
 use crate::{Noise, Residual};
 use sumprod_graph::{MessageError, wrap_angle};
@@ -151,6 +151,33 @@ impl<R: Residual> Likelihood for R {
     }
 }
 
+/// Several at once: their product, in one pass over the particles.
+impl<L: Likelihood> Likelihood for Vec<L> {
+    fn dimension(&self) -> Result<Option<usize>, MessageError> {
+        let mut known = None;
+        for own in self {
+            known = own.dimension()?.or(known);
+        }
+        Ok(known)
+    }
+
+    fn components(&self) -> usize {
+        self.iter().map(Likelihood::components).sum()
+    }
+
+    fn add_log(&self, block: &[f64], log_values: &mut [f64], out: &mut Residuals) -> f64 {
+        // Each must be explained by some particle.
+        let (mut own, mut nearest) = (Residuals::new(), 0.0_f64);
+        out.clear();
+        for likelihood in self {
+            own.clear();
+            nearest = nearest.max(likelihood.add_log(block, log_values, &mut own));
+            out.extend_from_slice(&own);
+        }
+        nearest
+    }
+}
+
 /// A log likelihood by a function of the state: `-∞` where the measurement is impossible.
 #[derive(Clone, Copy, Debug)]
 pub struct LogLikelihood<F>(pub F);
@@ -167,6 +194,16 @@ impl<F: Fn(&[f64]) -> f64 + Sync> Likelihood for LogLikelihood<F> {
     fn add_log(&self, block: &[f64], log_values: &mut [f64], _residuals: &mut Residuals) -> f64 {
         each_point(block, log_values, |point| (self.0)(point));
         f64::INFINITY
+    }
+}
+
+/// Writes the log likelihood at each row of `points` (row-major, as many rows as `log_values` has places).
+pub fn log_values<L: Likelihood + ?Sized>(likelihood: &L, points: &[f64], log_values: &mut [f64]) {
+    let cloud = Cloud::from_points(points.len() / log_values.len().max(1), points);
+    let mut residuals = Residuals::new();
+    log_values.fill(0.0);
+    for (block, log_values) in cloud.blocks().zip(log_values.chunks_mut(BLOCK)) {
+        likelihood.add_log(block, log_values, &mut residuals);
     }
 }
 

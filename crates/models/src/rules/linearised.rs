@@ -9,6 +9,7 @@
 
 use super::{GaussianDraft, GaussianView};
 use crate::Linearised;
+use crate::moments::{SigmaPoints, semidefinite_factor, sigma_moments};
 use crate::small::{
     Matrix, Proper, Vector, WELL_CONDITIONED, generalised_inverse, multiply, multiply_add, proper,
     symmetrise, transpose, zero_vector, zeros,
@@ -167,55 +168,30 @@ fn expand(model: &dyn Linearised, beliefs: &[Belief], parts: &[Range<usize>]) ->
 fn regress(model: &dyn Linearised, beliefs: &[Belief], parts: &[Range<usize>]) -> Result<Line, MessageError> {
     let (m, n) = (model.noise().dimension(), parts.last().map_or(0, |part| part.end));
     let point: Vector = beliefs.iter().flat_map(|belief| belief.mean.iter().copied()).collect();
-    let mut centre = zero_vector(m);
-    model.evaluate(&point, &mut centre);
-    // Angular residuals are averaged as offsets from the one at the mean.
-    let relative = |value: &mut [f64]| {
-        for (value, centre) in value.iter_mut().zip(&centre) {
-            *value -= centre;
-        }
-        for &angle in model.angles() {
-            value[angle] = sumprod_graph::wrap_angle(value[angle]);
-        }
-    };
-    let spread = (n as f64).sqrt();
-    let mut samples: Vec<(Vector, Vector)> = Vec::with_capacity(2 * n);
+    // The joint covariance of the beliefs is block-diagonal, and so is its factor.
+    let mut lower = zeros(n * n);
     for (belief, part) in beliefs.iter().zip(parts) {
         let covariance = belief.covariance.as_deref().unwrap_or_default();
-        let factor = Cholesky::new(covariance, part.len(), "the belief's covariance")?;
-        for column in 0..part.len() {
-            let mut unit = zero_vector(part.len());
-            unit[column] = spread;
-            let mut offset = zero_vector(n);
-            factor.multiply_lower(&unit, &mut offset[part.clone()]);
-            for sign in [1.0, -1.0] {
-                let offset: Vector = offset.iter().map(|x| sign * x).collect();
-                let at: Vector = point.iter().zip(&offset).map(|(x, o)| x + o).collect();
-                let mut value = zero_vector(m);
-                model.evaluate(&at, &mut value);
-                relative(&mut value);
-                samples.push((offset, value));
-            }
+        let mut own = zeros(part.len() * part.len());
+        semidefinite_factor(covariance, part.len(), "the belief's covariance", &mut own)?;
+        for (row, entries) in own.chunks_exact(part.len()).enumerate() {
+            lower[(part.start + row) * n + part.start..][..part.len()].copy_from_slice(entries);
         }
     }
-    let weight = 1.0 / samples.len() as f64;
-    let mut mean = zero_vector(m);
-    for (_, value) in &samples {
-        mean.iter_mut().zip(value).for_each(|(mean, value)| *mean += weight * value);
-    }
-    // With the block-diagonal joint covariance P, the slope is Ψ' P⁻¹, Ψ the cross-covariance.
-    let (mut cross, mut spread_of_values) = (zeros(m * n), zeros(m * m));
-    for (offset, value) in &samples {
-        for row in 0..m {
-            let centred = value[row] - mean[row];
-            for column in 0..n {
-                cross[row * n + column] += weight * centred * offset[column];
+    let found = sigma_moments(
+        SigmaPoints::cubature(n),
+        &point,
+        &lower,
+        m,
+        |x, residual| model.evaluate(x, residual),
+        |difference| {
+            for &angle in model.angles() {
+                difference[angle] = sumprod_graph::wrap_angle(difference[angle]);
             }
-            for column in 0..m {
-                spread_of_values[row * m + column] += weight * centred * (value[column] - mean[column]);
-            }
-        }
-    }
+        },
+    );
+    // The slope is Ψ' P⁻¹, Ψ the cross-covariance.
+    let cross = &found.cross;
     let mut jacobian = zeros(m * n);
     for (belief, part) in beliefs.iter().zip(parts) {
         let covariance = belief.covariance.as_deref().unwrap_or_default();
@@ -227,14 +203,13 @@ fn regress(model: &dyn Linearised, beliefs: &[Belief], parts: &[Range<usize>]) -
         }
     }
     // What the line leaves out: Φ - A Ψ, added to the noise.
-    let explained = multiply(&jacobian, &transpose(&cross, m, n), n, m);
+    let explained = multiply(&jacobian, &transpose(cross, m, n), n, m);
     let mut noise = Matrix::from_slice(model.noise().covariance());
-    for (noise, (all, explained)) in noise.iter_mut().zip(spread_of_values.iter().zip(&explained)) {
+    for (noise, (all, explained)) in noise.iter_mut().zip(found.covariance.iter().zip(&explained)) {
         *noise += all - explained;
     }
     symmetrise(&mut noise, m);
-    let value = centre.iter().zip(&mean).map(|(centre, mean)| centre + mean).collect();
-    Ok(Line { point, value, jacobian, noise })
+    Ok(Line { point, value: found.mean, jacobian, noise })
 }
 
 /// Heavy-tailed noise: the covariance is divided by the weight of the residual. Its length is the expectation over

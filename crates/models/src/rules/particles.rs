@@ -1,11 +1,12 @@
 //! Particle messages: values at the receiver's particles, and draws through a motion.
 
+use crate::cloud::{self, BLOCK, Cloud, Mover, Source};
 use crate::residual::ResidualModel;
 use crate::rules::exponential::{sum_of_exponentials, sum_of_gaussians};
 use crate::rules::selection::select;
 use crate::rules::{GaussianDraft, GaussianView, MixtureView, ParticleView, Rules, linearised, mixture};
 use crate::small::{Matrix, Vector, multiply, multiply_add, symmetrise, transpose, zero_vector, zeros};
-use crate::{Linearised, ProcessNoise, Residual};
+use crate::{Linearised, Motion, ProcessNoise, Residual};
 use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
 use smallvec::SmallVec;
@@ -119,6 +120,9 @@ impl<R: Residual> ResidualModel<R> {
     }
 
     fn evaluate_at(&self, to: Port, carrier: &Particles, senders: &Senders, log_values: &mut [f64]) {
+        if self.0.dimensions().len() == 1 {
+            return cloud::log_values(&self.0, carrier.points(), log_values);
+        }
         let noise = self.noise();
         let scalar = noise.dimension() == 1 && noise.degrees_of_freedom().is_none();
         let mut values = vec![0.0; senders.draws];
@@ -245,6 +249,36 @@ const DEFENSIVE: f64 = 0.2;
 /// Power of the guide: its information is halved, so that its tails are wider than the truth's.
 const TEMPERING: f64 = 0.5;
 
+/// One draw of f(x) + B z per particle, ancestors chosen systematically by weight: a particle filter's prediction.
+pub(crate) fn plain<M: Motion>(
+    motion: &M,
+    coordinates: &[Coordinate],
+    sample: &Particles,
+    count: usize,
+    stream: &mut Stream,
+    out: &mut Particles,
+) -> Result<(), MessageError> {
+    if sample.is_empty() {
+        return Err(nothing_to_predict());
+    }
+    let mut random = stream.fast();
+    let ancestors = select(sample.log_weights(), count, &mut random);
+    let d = sample.dimension();
+    let cloud = Cloud::from_points(d, sample.points());
+    let mover = Mover::new(motion, coordinates);
+    let (mut draws, mut block) = (Vec::new(), vec![0.0; BLOCK * d]);
+    out.become_sample(coordinates, count, |points, _| {
+        for (points, ancestors) in points.chunks_mut(BLOCK * d).zip(ancestors.chunks(BLOCK)) {
+            let from = Source { cloud: &cloud, first: 0, ancestors: Some(ancestors) };
+            mover.advance(ancestors.len(), from, &mut random, &mut draws, &mut block);
+            for (i, point) in points.chunks_exact_mut(d).enumerate() {
+                point.iter_mut().enumerate().for_each(|(k, x)| *x = block[k * BLOCK + i]);
+            }
+        }
+        Ok(())
+    })
+}
+
 /// Draws of a predicted state.
 pub(crate) struct Guided<'a> {
     pub(crate) step: &'a dyn Fn(&[f64], &mut [f64]),
@@ -258,31 +292,6 @@ impl Guided<'_> {
         for (x, _) in point.iter_mut().zip(self.coordinates).filter(|(_, kind)| **kind == Coordinate::Angle) {
             *x = wrap_angle(*x);
         }
-    }
-
-    /// One draw of f(x) + B z per particle, ancestors chosen systematically by weight.
-    pub(crate) fn plain(
-        &self,
-        sample: &Particles,
-        count: usize,
-        stream: &mut Stream,
-        out: &mut Particles,
-    ) -> Result<(), MessageError> {
-        if sample.is_empty() {
-            return Err(nothing_to_predict());
-        }
-        let mut random = stream.fast();
-        let ancestors = select(sample.log_weights(), count, &mut random);
-        let d = sample.dimension();
-        out.become_sample(self.coordinates, count, |points, _| {
-            for (point, &ancestor) in points.chunks_exact_mut(d).zip(&ancestors) {
-                let from = sample.point(ancestor as usize);
-                (self.step)(from, point);
-                add_noise(&(self.noise)(from), point, &mut random);
-                self.wrap(point);
-            }
-            Ok(())
-        })
     }
 
     /// Draws of the prediction through a guide g(x) = exp(-½ x'Λx + η'x), what is known of the receiver.
@@ -438,16 +447,6 @@ struct Kernels {
 
 fn nothing_to_predict() -> MessageError {
     MessageError::Unsupported("the state to predict from has no particles; give it a prior".into())
-}
-
-fn add_noise(noise: &ProcessNoise, point: &mut [f64], random: &mut FastStream) {
-    let sources = noise.sources();
-    for source in 0..sources {
-        let z: f64 = StandardNormal.sample(random);
-        for (x, row) in point.iter_mut().zip(noise.factor().chunks_exact(sources)) {
-            *x += row[source] * z;
-        }
-    }
 }
 
 fn log_sum(logs: &[f64]) -> f64 {

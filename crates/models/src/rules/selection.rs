@@ -1,26 +1,20 @@
-//! Systematic selection of particles.
+//! Systematic selection of a message's particles.
 
+use crate::cloud::{self, BLOCK, Selection};
 use rand::RngExt;
 use sumprod_graph::FastStream;
+use sumprod_messages::vector;
 
 /// Systematic selection of `count` indices in proportion to exp(log weight); nondecreasing.
 pub(crate) fn select(log_weights: &[f64], count: usize, random: &mut FastStream) -> Vec<u32> {
     let largest = log_weights.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-    let total: f64 = log_weights.iter().map(|log| (log - largest).exp()).sum();
-    let step = total / count as f64;
-    let mut target = step * random.random::<f64>();
-    let mut chosen = Vec::with_capacity(count);
-    let mut reached = 0.0;
-    for (index, log) in log_weights.iter().enumerate() {
-        reached += (log - largest).exp();
-        while target < reached && chosen.len() < count {
-            chosen.push(index as u32);
-            target += step;
-        }
-    }
-    // Rounding of the running sum may leave the last ones undrawn.
-    let last = chosen.last().copied().unwrap_or(0);
-    chosen.resize(count, last);
+    let mut weights = Vec::new();
+    vector::exponentials(log_weights, largest, &mut weights);
+    let totals: Vec<f64> = weights.chunks(BLOCK).map(|block| block.iter().sum()).collect();
+    let scales = vec![1.0; totals.len()];
+    let mut chosen = vec![0; count];
+    let selection = Selection { weights: &weights, scales: &scales, totals: &totals };
+    cloud::select(selection, random.random(), false, &mut chosen);
     chosen
 }
 

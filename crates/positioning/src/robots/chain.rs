@@ -49,6 +49,8 @@ pub enum Inference {
     Odometry,
     /// Each slice from the evidence up to it.
     Filter,
+    /// Each slice from the evidence up to it, by particles.
+    ParticleFilter,
     /// Each slice from all evidence, or from that of a fixed lag.
     Smoother,
 }

@@ -6,6 +6,7 @@
 //! | [`mrclam`] | five robots that see landmarks and each other |
 //! | [`table`] | files of numbers, read with the place of every mistake |
 //! | [`chain`] | a chain of states run as a filter, a fixed-lag smoother or a smoother |
+//! | [`particles`] | the same chain filtered by particles |
 //!
 //! A filter here is a window of one slice on the same chain that the smoother runs forward and backward.
 
@@ -13,6 +14,8 @@ pub mod chain;
 pub mod mrclam;
 pub mod plaza;
 pub mod table;
+
+pub mod particles;
 
 mod numbers;
 #[cfg(test)]

@@ -4,9 +4,10 @@ use std::collections::HashMap;
 use std::ops::Range;
 
 use serde::{Deserialize, Serialize};
-use sumprod_graph::{Space, wrap_angle};
+use sumprod_filters::{Correct, FilterError, RaoBlackwellised};
+use sumprod_graph::{MessageError, Space, wrap_angle};
 use sumprod_messages::Moments;
-use sumprod_models::{Block, Blocks, Cluster};
+use sumprod_models::{Block, Blocks, Cluster, Noise, NoiseError};
 
 use super::commands::Commands;
 use super::motion::{CommandedMotion, Drift, dimension};
@@ -15,6 +16,7 @@ use super::sighting::{Camera, Geometry, SightedBearing, SightedRange};
 use crate::PositioningError;
 use crate::robots::LONGEST_GAP_S;
 use crate::robots::chain::Chain;
+use crate::robots::particles::Parts;
 
 /// Sightings this share of a slice after it still belong to it, against rounding.
 const ROUNDING: f64 = 1e-9;
@@ -256,5 +258,44 @@ impl Chain for TeamChain<'_> {
 
     fn evidence_kind(&self) -> &'static str {
         "sighting"
+    }
+}
+
+impl Parts for TeamChain<'_> {
+    type PartMotion = CommandedMotion;
+
+    fn parts(&self) -> Vec<Block> {
+        (0..self.commands.len()).map(|robot| self.block(robot)).collect()
+    }
+
+    fn part_motion(&self, part: usize, slice: usize) -> CommandedMotion {
+        self.motion_between(part, self.times[slice - 1], self.times[slice])
+    }
+
+    fn absorb(&self, part: usize, slice: usize, filter: &mut RaoBlackwellised) -> Result<(), FilterError> {
+        for (row, factor) in &self.sightings[self.of_slice[slice].clone()] {
+            let Subject::Landmark(index) = row.subject else { continue };
+            if row.observer != part {
+                continue;
+            }
+            let driven = self.commands[part].between(self.times[slice], row.time);
+            let landmark = self.recording.landmarks[index].position;
+            let geometry = Geometry::of_landmark(landmark, driven, self.layout.calibrated);
+            let noise = |noise: Result<Noise, NoiseError>| {
+                let reason = |error: NoiseError| MessageError::Unsupported(error.to_string());
+                noise.map_err(|error| FilterError::Step { step: slice as u64, source: reason(error) })
+            };
+            if !self.layout.range_only {
+                let noise = noise(self.camera.bearing_noise(*factor))?;
+                filter.correct(&SightedBearing {
+                    measured: row.bearing,
+                    geometry: geometry.clone(),
+                    noise,
+                })?;
+            }
+            let noise = noise(self.camera.range_noise(row.range, *factor))?;
+            filter.correct(&SightedRange { measured: row.range, geometry, noise })?;
+        }
+        Ok(())
     }
 }

@@ -12,8 +12,9 @@ use super::recording::{Landmark, Recording};
 use super::sighting::Camera;
 use crate::PositioningError;
 use crate::results::{Anchor, MethodRun, RunResult, StateLayout};
-use crate::robots::chain::{self, Chain, Inference, Plan};
+use crate::robots::chain::{Chain, Inference};
 use crate::robots::numbers::{not_negative, positive};
+use crate::robots::particles::Way;
 use crate::robots::{marginal, pose_of};
 use crate::scenario::{GraphSummary, Methods, RunRequest, Scenario};
 
@@ -62,6 +63,9 @@ struct Method {
     /// Passes of a smoother.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     sweeps: Option<u32>,
+    /// Particles of each robot in a particle filter.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    particles: Option<u32>,
 }
 
 fn yes() -> bool {
@@ -69,8 +73,8 @@ fn yes() -> bool {
 }
 
 impl Method {
-    fn plan(&self, id: &str) -> Result<Plan, PositioningError> {
-        Plan::new(id, self.inference, self.rounds, self.lag, self.sweeps)
+    fn way(&self, id: &str) -> Result<Way, PositioningError> {
+        Way::new(id, self.inference, [self.rounds, self.lag, self.sweeps], self.particles)
     }
 }
 
@@ -91,7 +95,8 @@ impl Mrclam {
             calibrated: self.world.calibrate,
             range_only: self.world.range_only,
             landmark_observers: recording.robots.iter().map(|robot| evidence && observes(robot.id)).collect(),
-            cooperation: evidence && method.cooperation,
+            // Robots filtered one by one have no place for what two of them share.
+            cooperation: evidence && method.cooperation && method.inference != Inference::ParticleFilter,
         };
         TeamChain::new(recording, &self.start, self.motion, self.camera, layout)
     }
@@ -103,12 +108,13 @@ impl Mrclam {
         id: &str,
         method: &Method,
     ) -> Result<MethodRun, PositioningError> {
-        let plan = method.plan(id)?;
+        let way = method.way(id)?;
         MethodRun::timed(id, StateLayout::planar_pose(), |run| {
             let chain = self.chain(recording, method)?;
-            chain::run(id, &chain, plan, seed, &mut |slice, moments| {
-                score(run, &chain, recording, slice, moments)
-            })?;
+            way.run(id, &chain, seed, &mut |slice, moments| score(run, &chain, recording, slice, moments))?;
+            if let Way::Particles(_) = way {
+                run.notes.push("robots are filtered one by one; sightings of robots are not used".into());
+            }
             if recording.unknown > 0 {
                 let sentence = "sightings of unknown barcodes or of the robot's own were left out";
                 run.notes.push(format!("{} {sentence}", recording.unknown));
@@ -191,7 +197,7 @@ impl Scenario for Mrclam {
         if let Some(nu) = self.camera.degrees_of_freedom {
             positive("camera.degrees_of_freedom", nu)?;
         }
-        self.method.iter().try_for_each(|(id, method)| method.plan(id).map(|_| ()))
+        self.method.iter().try_for_each(|(id, method)| method.way(id).map(|_| ()))
     }
 
     fn methods(&self) -> Vec<String> {
@@ -227,8 +233,6 @@ impl Scenario for Mrclam {
         methods: &[String],
     ) -> Result<Vec<GraphSummary>, PositioningError> {
         let wanted = self.method.iter().filter(|(id, _)| methods.iter().any(|wanted| wanted == id));
-        wanted
-            .map(|(id, method)| chain::summary(id, &self.chain(recording, method)?, method.plan(id)?))
-            .collect()
+        wanted.map(|(id, method)| method.way(id)?.summary(id, &self.chain(recording, method)?)).collect()
     }
 }

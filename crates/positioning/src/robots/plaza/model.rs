@@ -5,6 +5,7 @@
 //! The heading counts its turns: it never jumps along a chain, so that its coordinate is a real one.
 
 use serde::{Deserialize, Serialize};
+use sumprod_filters::{Correct, FilterError, RaoBlackwellised};
 use sumprod_graph::Space;
 use sumprod_messages::Moments;
 use sumprod_models::library::distance;
@@ -13,6 +14,7 @@ use sumprod_models::{Block, Cluster, Motion, Noise, ProcessNoise, Real, Residual
 use super::recording::{OdometryRow, Recording};
 use crate::PositioningError;
 use crate::robots::chain::Chain;
+use crate::robots::particles::Parts;
 
 /// Ranges this little after a slice still belong to it (s): files round their times.
 const ROUNDING: f64 = 1e-6;
@@ -266,6 +268,17 @@ impl<'a> PlazaChain<'a> {
         Leg { distance, turn, duration: self.times[slice] - self.times[slice - 1] }
     }
 
+    /// The ranges of a slice (from 1).
+    fn ranges_of(&self, slice: usize) -> impl Iterator<Item = BackedRange> + '_ {
+        let rows = self.ranges.get(slice).cloned().unwrap_or_default();
+        self.recording.ranges[rows].iter().map(move |row| {
+            let leg = self.leg(slice);
+            let fraction = ((self.times[slice] - row.time) / leg.duration).clamp(0.0, 1.0);
+            let beacon = self.recording.beacons[row.beacon].position;
+            BackedRange::new(row.range, beacon, leg.part(fraction), self.calibrated, self.noise.clone())
+        })
+    }
+
     /// The motion along a part of a leg.
     pub fn along(&self, leg: Leg) -> BiasedOdometry {
         BiasedOdometry::new(leg, self.drift, self.calibrated)
@@ -315,13 +328,7 @@ impl Chain for PlazaChain<'_> {
     fn evidence(&self, slice: usize) -> Result<Cluster, PositioningError> {
         let d = dimension(self.calibrated);
         let mut cluster = Cluster::new(d);
-        let Some(rows) = self.ranges.get(slice) else { return Ok(cluster) };
-        let leg = self.leg(slice);
-        for row in &self.recording.ranges[rows.clone()] {
-            let fraction = ((self.times[slice] - row.time) / leg.duration).clamp(0.0, 1.0);
-            let beacon = self.recording.beacons[row.beacon].position;
-            let since = leg.part(fraction);
-            let range = BackedRange::new(row.range, beacon, since, self.calibrated, self.noise.clone());
+        for range in self.ranges_of(slice) {
             cluster
                 .add(range, &[Block::new(0, d)])
                 .map_err(|error| PositioningError::setting("sensor", format!("cannot be used: {error}")))?;
@@ -331,5 +338,21 @@ impl Chain for PlazaChain<'_> {
 
     fn evidence_kind(&self) -> &'static str {
         "range"
+    }
+}
+
+impl Parts for PlazaChain<'_> {
+    type PartMotion = BiasedOdometry;
+
+    fn parts(&self) -> Vec<Block> {
+        vec![Block::new(0, dimension(self.calibrated))]
+    }
+
+    fn part_motion(&self, _part: usize, slice: usize) -> BiasedOdometry {
+        self.motion(slice)
+    }
+
+    fn absorb(&self, _part: usize, slice: usize, filter: &mut RaoBlackwellised) -> Result<(), FilterError> {
+        self.ranges_of(slice).try_for_each(|range| filter.correct(&range).map(drop))
     }
 }

@@ -10,8 +10,9 @@ use super::model::{Drift, PlazaChain, Sensor, Start};
 use super::recording::Recording;
 use crate::PositioningError;
 use crate::results::{Anchor, MethodRun, RunResult, StateLayout};
-use crate::robots::chain::{self, Chain, Inference, Plan};
+use crate::robots::chain::{Chain, Inference};
 use crate::robots::numbers::{not_negative, positive, positive_definite};
+use crate::robots::particles::Way;
 use crate::robots::{LONGEST_GAP_S, pose_of};
 use crate::scenario::{GraphSummary, Methods, RunRequest, Scenario};
 
@@ -49,11 +50,14 @@ struct Method {
     /// Passes of a smoother.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     sweeps: Option<u32>,
+    /// Particles of a particle filter.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    particles: Option<u32>,
 }
 
 impl Method {
-    fn plan(&self, id: &str) -> Result<Plan, PositioningError> {
-        Plan::new(id, self.inference, self.rounds, self.lag, self.sweeps)
+    fn way(&self, id: &str) -> Result<Way, PositioningError> {
+        Way::new(id, self.inference, [self.rounds, self.lag, self.sweeps], self.particles)
     }
 }
 
@@ -76,10 +80,10 @@ impl Plaza {
         method: &Method,
     ) -> Result<MethodRun, PositioningError> {
         let chain = self.chain(recording, method)?;
-        let plan = method.plan(id)?;
+        let way = method.way(id)?;
         MethodRun::timed(id, StateLayout::planar_pose(), |run| {
             let mut last = Moments::default();
-            chain::run(id, &chain, plan, seed, &mut |slice, moments| {
+            way.run(id, &chain, seed, &mut |slice, moments| {
                 score(run, &chain, recording, slice, moments)?;
                 last.clone_from(moments);
                 Ok(())
@@ -165,7 +169,7 @@ impl Scenario for Plaza {
         if let Some(nu) = self.sensor.degrees_of_freedom {
             positive("sensor.degrees_of_freedom", nu)?;
         }
-        self.method.iter().try_for_each(|(id, method)| method.plan(id).map(|_| ()))
+        self.method.iter().try_for_each(|(id, method)| method.way(id).map(|_| ()))
     }
 
     fn methods(&self) -> Vec<String> {
@@ -200,8 +204,6 @@ impl Scenario for Plaza {
         methods: &[String],
     ) -> Result<Vec<GraphSummary>, PositioningError> {
         let wanted = self.method.iter().filter(|(id, _)| methods.iter().any(|wanted| wanted == id));
-        wanted
-            .map(|(id, method)| chain::summary(id, &self.chain(recording, method)?, method.plan(id)?))
-            .collect()
+        wanted.map(|(id, method)| method.way(id)?.summary(id, &self.chain(recording, method)?)).collect()
     }
 }
