@@ -29,6 +29,20 @@ impl Timing {
         Ok(Self(seconds))
     }
 
+    /// Times `work` by the processor time of this thread, where the system tells it: other work on the machine then
+    /// counts for nothing.
+    pub fn of_thread<E>(repeats: usize, mut work: impl FnMut() -> Result<(), E>) -> Result<Self, E> {
+        let mut seconds = Vec::with_capacity(repeats);
+        for _ in 0..repeats {
+            let (start, before) = (Instant::now(), thread_seconds());
+            work()?;
+            let wall = start.elapsed().as_secs_f64();
+            seconds.push(before.zip(thread_seconds()).map_or(wall, |(before, after)| after - before));
+        }
+        seconds.sort_by(f64::total_cmp);
+        Ok(Self(seconds))
+    }
+
     /// The median (s).
     pub fn median(&self) -> f64 {
         self.0[self.0.len() / 2]
@@ -38,6 +52,12 @@ impl Timing {
     pub fn least(&self) -> f64 {
         self.0[0]
     }
+}
+
+/// Processor time that this thread has had (s).
+fn thread_seconds() -> Option<f64> {
+    let text = std::fs::read_to_string("/proc/thread-self/schedstat").ok()?;
+    text.split(' ').next()?.parse().ok().map(|nanoseconds: f64| nanoseconds * 1e-9)
 }
 
 impl fmt::Display for Timing {

@@ -54,7 +54,7 @@ fn hold(methods: &Value, id: &str, error: f64, nees: [f64; 2], coverage: [f64; 2
 #[test]
 fn plaza_is_located_and_its_radio_calibrated() {
     let Some(data) = recording("plaza/plaza2") else { return };
-    let methods = methods("plaza", &data, &[]);
+    let methods = methods("plaza", &data, &["--method", "odometry,filter,smoother"]);
     hold(&methods, "filter", 0.32, [0.6, 1.6], [0.90, 0.99]);
     hold(&methods, "smoother", 0.23, [0.6, 1.6], [0.90, 0.99]);
     assert!(rmse(&methods, "odometry") > 10.0);
@@ -63,16 +63,28 @@ fn plaza_is_located_and_its_radio_calibrated() {
 #[test]
 fn five_robots_are_located_with_all_landmarks() {
     let Some(data) = recording("mrclam/dataset6") else { return };
-    let methods = methods("mrclam", &data, &[]);
+    let methods = methods("mrclam", &data, &["--method", "odometry,filter,smoother"]);
     hold(&methods, "filter", 0.12, [0.6, 1.5], [0.90, 0.985]);
     hold(&methods, "smoother", 0.07, [0.6, 1.5], [0.90, 0.985]);
     assert!(rmse(&methods, "odometry") > 1.0);
 }
 
+/// Positions by particles, the rest of each state a Gaussian a particle: 200 particles already do.
+#[test]
+fn robots_are_located_by_particles() {
+    let few = |id: &'static str| ["--method", "particle-filter", "--set", id];
+    if let Some(data) = recording("plaza/plaza2") {
+        let methods = methods("plaza", &data, &few("method.particle-filter.particles=200"));
+        hold(&methods, "particle-filter", 0.41, [0.5, 1.8], [0.88, 0.99]);
+    }
+}
+
 #[test]
 fn robots_that_see_no_landmark_are_located_through_the_others() {
     let Some(data) = recording("mrclam/dataset6") else { return };
-    let methods = methods("mrclam", &data, &["--set", "world.landmark_observers=[3,5]"]);
+    let more =
+        ["--set", "world.landmark_observers=[3,5]", "--method", "filter,filter-no-cooperation,smoother"];
+    let methods = methods("mrclam", &data, &more);
     hold(&methods, "filter", 0.15, [0.6, 1.5], [0.90, 0.985]);
     hold(&methods, "smoother", 0.09, [0.6, 1.5], [0.90, 0.985]);
     assert!(rmse(&methods, "filter-no-cooperation") > 1.0);

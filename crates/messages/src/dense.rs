@@ -21,6 +21,7 @@ impl Cholesky {
     ///
     /// [`MessageError::NotPositiveDefinite`] naming `what` and the pivot; [`MessageError::Dimension`] where the
     /// matrix has too few entries.
+    #[inline]
     pub fn new(matrix: &[f64], dimension: usize, what: &'static str) -> Result<Self, MessageError> {
         let Some(entries) = matrix.get(..dimension * dimension) else {
             let (found, expected) = (matrix.len(), dimension * dimension);
@@ -50,7 +51,31 @@ impl Cholesky {
         self.solve_upper(b);
     }
 
+    /// Solves A X = B in place, `b` row-major of this many columns.
+    #[inline]
+    pub fn solve_columns(&self, b: &mut [f64], columns: usize) {
+        let d = self.dimension;
+        for row in 0..d {
+            let (before, rest) = b.split_at_mut(row * columns);
+            let own = &mut rest[..columns];
+            for (factor, above) in self.factor[row * d..].iter().zip(before.chunks_exact(columns)) {
+                own.iter_mut().zip(above).for_each(|(own, above)| *own -= factor * above);
+            }
+            own.iter_mut().for_each(|own| *own *= self.factor[row * d + row]);
+        }
+        for row in (0..d).rev() {
+            let (before, after) = b.split_at_mut((row + 1) * columns);
+            let own = &mut before[row * columns..];
+            for (k, below) in (row + 1..d).zip(after.chunks_exact(columns)) {
+                let factor = self.factor[k * d + row];
+                own.iter_mut().zip(below).for_each(|(own, below)| *own -= factor * below);
+            }
+            own.iter_mut().for_each(|own| *own *= self.factor[row * d + row]);
+        }
+    }
+
     /// Solves L y = b in place.
+    #[inline]
     pub fn solve_lower(&self, b: &mut [f64]) {
         let d = self.dimension;
         for row in 0..d {
@@ -91,12 +116,14 @@ impl Cholesky {
     }
 
     /// Log determinant of A.
+    #[inline]
     pub fn log_determinant(&self) -> f64 {
         let d = self.dimension;
         -2.0 * (0..d).map(|k| self.factor[k * d + k].ln()).sum::<f64>()
     }
 
     /// Squared Mahalanobis length x' A⁻¹ x; overwrites `x`.
+    #[inline]
     pub fn squared_length(&self, x: &mut [f64]) -> f64 {
         self.solve_lower(x);
         x.iter().map(|y| y * y).sum()
@@ -124,6 +151,12 @@ mod tests {
                 let product: f64 = (0..3).map(|k| a[row * 3 + k] * inverse[k * 3 + column]).sum();
                 assert!((product - f64::from(u8::from(row == column))).abs() < 1e-14);
             }
+        }
+        let mut columns = [1.0, 0.0, 2.0, -1.0, 0.5, 3.0];
+        cholesky.solve_columns(&mut columns, 2);
+        for (column, b) in [[1.0, 2.0, 0.5], [0.0, -1.0, 3.0]].iter_mut().enumerate() {
+            cholesky.solve(b);
+            assert!((0..3).all(|row| (columns[row * 2 + column] - b[row]).abs() < 1e-14));
         }
         let determinant: f64 = 4.0 * (15.0 - 0.25) - 2.0 * (6.0 + 0.5) - (1.0 + 5.0);
         assert!((cholesky.log_determinant() - determinant.ln()).abs() < 1e-13);

@@ -173,7 +173,7 @@ impl<'a, M: Motion> Mover<'a, M> {
         Self { motion, constant, angles: coordinates.iter().enumerate().filter_map(angle).collect() }
     }
 
-    /// Moves `count` (at most [`BLOCK`]) particles by x' = f(x) + B z into a block.
+    /// Moves `count` (at most [`BLOCK`]) particles by x' = f(x) + B z into a block; returns whether all are finite.
     ///
     /// `draws` is working storage.
     pub fn advance(
@@ -183,7 +183,7 @@ impl<'a, M: Motion> Mover<'a, M> {
         random: &mut FastStream,
         draws: &mut Vec<f64>,
         block: &mut [f64],
-    ) {
+    ) -> bool {
         let sources = self.constant.as_ref().map_or(0, |noise| noise.sources);
         draws.resize(sources * BLOCK, 0.0);
         for i in 0..count {
@@ -197,6 +197,7 @@ impl<'a, M: Motion> Mover<'a, M> {
             None => self.add_noise(count, from, random, block),
         }
         self.wrap(count, block);
+        vector::widest(AllFinite { count, block })
     }
 
     /// Writes f(x) of `count` particles, without noise, into a block; angles are not wrapped.
@@ -280,6 +281,29 @@ impl<M: Motion> pulp::NullaryFnOnce for Step<'_, M> {
                 self.block[k * BLOCK + first..][..WIDTH].copy_from_slice(&next.0);
             }
         }
+    }
+}
+
+struct AllFinite<'a> {
+    count: usize,
+    block: &'a [f64],
+}
+
+impl pulp::NullaryFnOnce for AllFinite<'_> {
+    type Output = bool;
+
+    #[inline(always)]
+    fn call(self) -> bool {
+        // A product with zero is zero for finite numbers alone.
+        let mut doubt = [0.0; WIDTH];
+        for column in self.block.chunks_exact(BLOCK) {
+            let (chunks, rest) = column[..self.count].as_chunks::<WIDTH>();
+            for chunk in chunks {
+                doubt.iter_mut().zip(chunk).for_each(|(doubt, x)| *doubt += x * 0.0);
+            }
+            doubt.iter_mut().zip(rest).for_each(|(doubt, x)| *doubt += x * 0.0);
+        }
+        doubt == [0.0; WIDTH]
     }
 }
 

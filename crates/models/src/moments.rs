@@ -9,7 +9,7 @@ mod sigma;
 pub use sigma::{SigmaMoments, SigmaPoints, semidefinite_factor, sigma_moments};
 
 use crate::dual::{Lanes, differentiate};
-use crate::small::{Matrix, Vector, symmetrise};
+use crate::small::{Matrix, Vector};
 use crate::{Motion, Noise};
 use smallvec::SmallVec;
 use std::f64::consts::TAU;
@@ -46,24 +46,18 @@ pub fn add_product_transposed(a: &[f64], b: &[f64], inner: usize, out: &mut [f64
     }
 }
 
-/// The covariance F P F' + B B' of a state moved by F x + B z, and F P, its cross-covariance with the state before.
+/// The covariance F P F' of F x, and F P, its cross-covariance with x.
 #[inline(always)]
-pub fn predict_covariance(
-    jacobian: &[f64],
-    covariance: &[f64],
-    noise_factor: &[f64],
-    d: usize,
-    cross: &mut [f64],
-    predicted: &mut [f64],
-) {
+pub fn propagate(jacobian: &[f64], covariance: &[f64], d: usize, cross: &mut [f64], predicted: &mut [f64]) {
     cross_covariance(jacobian, covariance, d, cross);
     predicted.fill(0.0);
     add_product_transposed(cross, jacobian, d, predicted);
-    let sources = noise_factor.len() / d;
-    if sources > 0 {
-        add_product_transposed(noise_factor, noise_factor, sources, predicted);
-    }
-    symmetrise(predicted, d);
+}
+
+/// Replaces a square matrix by the mean of itself and its transpose.
+#[inline(always)]
+pub fn symmetrise(matrix: &mut [f64], d: usize) {
+    crate::small::symmetrise(matrix, d);
 }
 
 /// A measurement made linear about a state: the residual there, its Jacobian (m by d) and the covariance (m by m) of
@@ -161,11 +155,7 @@ fn gain(value: &[f64], cross: &[f64], spread: &[f64], d: usize) -> Result<Gain, 
     let m = value.len();
     let factor = Cholesky::new(spread, m, "the innovation covariance")?;
     let mut gain = Matrix::from_slice(cross);
-    for column in 0..d {
-        let mut solved: Vector = (0..m).map(|row| cross[row * d + column]).collect();
-        factor.solve(&mut solved);
-        solved.iter().enumerate().for_each(|(row, value)| gain[row * d + column] = *value);
-    }
+    factor.solve_columns(&mut gain, d);
     let mut innovation = Vector::from_slice(value);
     let squared = factor.squared_length(&mut innovation);
     let log_likelihood = -0.5 * (squared + factor.log_determinant() + m as f64 * TAU.ln());

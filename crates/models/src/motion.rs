@@ -2,7 +2,7 @@
 //!
 //! x' = f(x) + B z, z ~ N(0, I). The process covariance B B' may be singular: nothing here inverts it.
 
-use crate::moments::{linearise_motion, predict_covariance};
+use crate::moments::{add_product_transposed, linearise_motion, propagate};
 use crate::rules::mixture::motion::{Retrodiction, predict};
 use crate::rules::particles::{Guided, plain};
 use crate::rules::{GaussianDraft, GaussianView, MixtureView, ParticleView, mixture};
@@ -21,6 +21,8 @@ pub struct ProcessNoise {
     dimension: usize,
     sources: usize,
     factor: SmallVec<[f64; 16]>,
+    /// B B', of noise that is made once and used at every state; else empty.
+    covariance: SmallVec<[f64; 16]>,
 }
 
 impl ProcessNoise {
@@ -53,7 +55,7 @@ impl ProcessNoise {
                     (0..sources).map(|k| gain[row * sources + k] * scaled[k]).sum();
             }
         }
-        Ok(Self { dimension, sources, factor })
+        Ok(Self::with_covariance(dimension, sources, factor))
     }
 
     /// Noise of this covariance (row-major), which may be singular.
@@ -83,7 +85,7 @@ impl ProcessNoise {
                 factor[row * d + column] = eigen.eigenvectors[(row, column)] * value.max(0.0).sqrt();
             }
         }
-        Ok(Self { dimension: d, sources: d, factor })
+        Ok(Self::with_covariance(d, d, factor))
     }
 
     /// Independent noise of these variances, of which any may be zero.
@@ -104,7 +106,7 @@ impl ProcessNoise {
             }
             factor[k * d + k] = variance.sqrt();
         }
-        Ok(Self { dimension: d, sources: d, factor })
+        Ok(Self::with_covariance(d, d, factor))
     }
 
     /// Noise of the covariance B B' for this factor B (`dimension` rows, row-major). An empty one is no noise, and
@@ -113,7 +115,23 @@ impl ProcessNoise {
         let sources = factor.len().div_ceil(dimension.max(1)).max(1);
         let mut factor = SmallVec::from_slice(factor);
         factor.resize(dimension * sources, 0.0);
-        Self { dimension, sources, factor }
+        Self { dimension, sources, factor, covariance: SmallVec::new() }
+    }
+
+    fn with_covariance(dimension: usize, sources: usize, factor: SmallVec<[f64; 16]>) -> Self {
+        let mut covariance = SmallVec::from_elem(0.0, dimension * dimension);
+        add_product_transposed(&factor, &factor, sources, &mut covariance);
+        Self { dimension, sources, factor, covariance }
+    }
+
+    /// Adds the covariance B B' to `out` (row-major).
+    #[inline]
+    pub fn add_covariance(&self, out: &mut [f64]) {
+        if self.covariance.is_empty() {
+            add_product_transposed(&self.factor, &self.factor, self.sources, out);
+        } else {
+            out.iter_mut().zip(&self.covariance).for_each(|(out, own)| *out += own);
+        }
     }
 
     /// Number of state coordinates.
@@ -133,13 +151,9 @@ impl ProcessNoise {
 
     /// The covariance B B', row-major.
     pub fn covariance(&self) -> Vec<f64> {
-        multiply(
-            &self.factor,
-            &transpose(&self.factor, self.dimension, self.sources),
-            self.sources,
-            self.dimension,
-        )
-        .to_vec()
+        let mut covariance = vec![0.0; self.dimension * self.dimension];
+        self.add_covariance(&mut covariance);
+        covariance
     }
 }
 
@@ -210,8 +224,9 @@ impl<T: Motion> Transition<T> {
         let d = at.len();
         let (mut ahead, jacobian) = self.linearise(at);
         let (mut cross, mut predicted) = (zeros(d * d), zeros(d * d));
-        let noise = self.motion.noise(at);
-        predict_covariance(&jacobian, covariance, noise.factor(), d, &mut cross, &mut predicted);
+        propagate(&jacobian, covariance, d, &mut cross, &mut predicted);
+        self.motion.noise(at).add_covariance(&mut predicted);
+        symmetrise(&mut predicted, d);
         let offset: Vector = mean.iter().zip(at).map(|(mean, at)| mean - at).collect();
         multiply_add(&jacobian, &offset, d, 1, &mut ahead);
         (ahead, predicted)
@@ -324,16 +339,11 @@ fn point(view: &dyn GaussianView, port: Port, dimension: usize) -> Result<Option
     Ok(proper(&information, &mean).map(|belief| belief.mean))
 }
 
-fn add_covariance(noise: &ProcessNoise, out: &mut [f64]) {
-    let transposed = transpose(&noise.factor, noise.dimension, noise.sources);
-    multiply_add(&noise.factor, &transposed, noise.sources, noise.dimension, out);
-}
-
 /// A message convolved with zero-mean noise of covariance Q = B B': (I + Λ Q)⁻¹ (Λ, η), for any rank of either.
 fn blur(noise: &ProcessNoise, information: &[f64], vector: &[f64]) -> Result<(Matrix, Vector), MessageError> {
     let d = vector.len();
     let mut covariance = zeros(d * d);
-    add_covariance(noise, &mut covariance);
+    noise.add_covariance(&mut covariance);
     let mut system = multiply(information, &covariance, d, d);
     for k in 0..d {
         system[k * d + k] += 1.0;

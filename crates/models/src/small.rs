@@ -49,6 +49,7 @@ pub(crate) fn transpose(a: &[f64], rows: usize, columns: usize) -> Matrix {
 }
 
 /// Replaces a square matrix by the mean of itself and its transpose.
+#[inline(always)]
 pub(crate) fn symmetrise(a: &mut [f64], dimension: usize) {
     for row in 0..dimension {
         for column in 0..row {

@@ -7,8 +7,8 @@ use smallvec::SmallVec;
 use sumprod_graph::{MessageError, wrap_angle};
 use sumprod_messages::Moments;
 use sumprod_models::moments::{
-    Line, SigmaMoments, SigmaPoints, add_product_transposed, correct, correct_by_regression,
-    linearise_motion, noise_against, predict_covariance, semidefinite_factor, sigma_moments,
+    Line, SigmaMoments, SigmaPoints, correct, correct_by_regression, linearise_motion, noise_against,
+    propagate, semidefinite_factor, sigma_moments, symmetrise,
 };
 use sumprod_models::{Linearised, Motion, Residual, ResidualModel};
 
@@ -44,6 +44,21 @@ pub struct Kalman<const D: usize> {
     prediction: Prediction<D>,
     approximation: Approximation,
     step: u64,
+}
+
+/// What a correction makes of the moments.
+struct Posterior<const D: usize> {
+    mean: [f64; D],
+    covariance: Square<D>,
+}
+
+/// How far a posterior's mean is from a point, in standard deviations of the worst coordinate.
+fn moved<const D: usize>(posterior: &Posterior<D>, at: &[f64; D]) -> f64 {
+    let moved = (0..D).map(|k| {
+        let (distance, variance) = ((posterior.mean[k] - at[k]).abs(), posterior.covariance[k][k]);
+        if distance == 0.0 { 0.0 } else { distance / variance.sqrt() }
+    });
+    moved.fold(0.0, f64::max)
 }
 
 /// A prediction as smoothing needs it.
@@ -107,7 +122,8 @@ impl<const D: usize> Kalman<D> {
     }
 
     /// Corrects by the line that the approximation gives, from the prediction as it is.
-    fn corrected<R: Residual>(&self, residual: &R) -> Result<(Self, Correction), MessageError> {
+    #[inline]
+    fn corrected<R: Residual>(&self, residual: &R) -> Result<(Posterior<D>, Correction), MessageError> {
         checks::measured(residual, D)?;
         let steps = match self.approximation {
             Approximation::Iterated(most) => most.max(1),
@@ -121,20 +137,11 @@ impl<const D: usize> Kalman<D> {
         loop {
             let (posterior, correction) = self.linearised_at(&at, residual)?;
             step += 1;
-            if step >= steps || posterior.moved_from(&at) < CONVERGED {
+            if step >= steps || moved(&posterior, &at) < CONVERGED {
                 return Ok((posterior, correction));
             }
             at = posterior.mean;
         }
-    }
-
-    /// How far the mean is from a point, in standard deviations of the worst coordinate.
-    fn moved_from(&self, at: &[f64; D]) -> f64 {
-        let moved = (0..D).map(|k| {
-            let (distance, variance) = ((self.mean[k] - at[k]).abs(), self.covariance[k][k]);
-            if distance == 0.0 { 0.0 } else { distance / variance.sqrt() }
-        });
-        moved.fold(0.0, f64::max)
     }
 
     /// The posterior where the residual is expanded at a point: r(x) ≈ r(x̄) + J (x - x̄).
@@ -143,7 +150,7 @@ impl<const D: usize> Kalman<D> {
         &self,
         at: &[f64; D],
         residual: &R,
-    ) -> Result<(Self, Correction), MessageError> {
+    ) -> Result<(Posterior<D>, Correction), MessageError> {
         let m = residual.noise().dimension();
         let mut value: SmallVec<[f64; 6]> = SmallVec::from_elem(0.0, m);
         let mut jacobian: SmallVec<[f64; 36]> = SmallVec::from_elem(0.0, m * D);
@@ -156,7 +163,7 @@ impl<const D: usize> Kalman<D> {
         let covariance = self.covariance.as_flattened();
         let noise = noise_against(residual.noise(), &value, &jacobian, covariance);
         let line = Line { value: &value, jacobian: &jacobian, noise: &noise };
-        let mut posterior = self.clone();
+        let mut posterior = Posterior { mean: self.mean, covariance: self.covariance };
         let found = correct(line, &mut posterior.mean, posterior.covariance.as_flattened_mut())?;
         checks::step(&posterior.mean, posterior.covariance.as_flattened(), "the corrected covariance")?;
         value.iter_mut().for_each(|value| *value = -*value);
@@ -181,7 +188,7 @@ impl<const D: usize> Kalman<D> {
         &self,
         points: SigmaPoints,
         residual: &R,
-    ) -> Result<(Self, Correction), MessageError> {
+    ) -> Result<(Posterior<D>, Correction), MessageError> {
         let mut lower = [[0.0; D]; D];
         let covariance = self.covariance.as_flattened();
         semidefinite_factor(covariance, D, "the covariance", lower.as_flattened_mut())?;
@@ -201,7 +208,7 @@ impl<const D: usize> Kalman<D> {
             Some(_) => noise.weight(noise.expected_squared_length(&value, &spread)),
         };
         spread.iter_mut().zip(noise.covariance()).for_each(|(sum, own)| *sum += own / share);
-        let mut posterior = self.clone();
+        let mut posterior = Posterior { mean: self.mean, covariance: self.covariance };
         let flat = posterior.covariance.as_flattened_mut();
         let found = correct_by_regression(&value, &cross, &spread, &mut posterior.mean, flat)?;
         checks::step(&posterior.mean, posterior.covariance.as_flattened(), "the corrected covariance")?;
@@ -226,7 +233,7 @@ impl<const D: usize> Kalman<D> {
                 let mut jacobian = zero;
                 linearise_motion(motion, &self.mean, &mut next.mean, jacobian.as_flattened_mut());
                 let (cross, predicted) = (next.cross.as_flattened_mut(), next.covariance.as_flattened_mut());
-                predict_covariance(jacobian.as_flattened(), covariance, &[], D, cross, predicted);
+                propagate(jacobian.as_flattened(), covariance, D, cross, predicted);
             }
             Some(points) => {
                 let mut lower = zero;
@@ -259,8 +266,8 @@ impl<const D: usize, M: Motion> Predict<M> for Kalman<D> {
                 &own
             }
         };
-        let predicted = next.covariance.as_flattened_mut();
-        add_product_transposed(noise.factor(), noise.factor(), noise.sources(), predicted);
+        noise.add_covariance(next.covariance.as_flattened_mut());
+        symmetrise(next.covariance.as_flattened_mut(), D);
         checks::step(&next.mean, next.covariance.as_flattened(), "the predicted covariance")
             .map_err(failed)?;
         (self.mean, self.covariance, self.prediction) = (next.mean, next.covariance, next);
@@ -273,7 +280,7 @@ impl<const D: usize, R: Residual> Correct<R> for Kalman<D> {
     #[inline]
     fn correct(&mut self, measurement: &R) -> Result<Correction, FilterError> {
         let (posterior, correction) = self.corrected(measurement).map_err(FilterError::step(self.step))?;
-        *self = posterior;
+        (self.mean, self.covariance) = (posterior.mean, posterior.covariance);
         Ok(correction)
     }
 }

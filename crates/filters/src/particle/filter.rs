@@ -9,10 +9,9 @@ use sumprod_graph::{Coordinate, MessageError, Purpose, Space, Stream, wrap_angle
 use sumprod_messages::{Moments, Particles};
 use sumprod_models::Motion;
 use sumprod_models::cloud::{BLOCK, Cloud, Likelihood, Mover, Source, select};
-use sumprod_optimizers::{Move, Reselection, Trigger};
+use sumprod_optimizers::{Reselection, Trigger};
 
 use super::look_ahead::Ahead;
-use super::moves::MoveReport;
 use super::recovery::Recovery;
 use super::weights::{Weighing, Weights, largest, wrong};
 use super::{prior, summary};
@@ -55,8 +54,6 @@ pub struct ParticleFilter {
     reselection: Option<Box<dyn Reselection>>,
     recovery: Recovery,
     gate: f64,
-    pub(super) mover: Option<Box<dyn Move>>,
-    pub(super) move_report: Option<MoveReport>,
     pub(super) looks_ahead: bool,
     pub(super) ahead: Option<Ahead>,
     /// Corrections since the last prediction.
@@ -109,8 +106,6 @@ impl ParticleFilter {
             reselection: None,
             recovery: Recovery::default(),
             gate: GATE,
-            mover: None,
-            move_report: None,
             looks_ahead: false,
             ahead: None,
             corrections: 0,
@@ -232,9 +227,8 @@ impl ParticleFilter {
         let m = likelihood.components();
         let (cloud, weights) = (&self.cloud, &self.weights);
         let blocks: Vec<&[f64]> = cloud.blocks().collect();
-        let sums = weights.weigh(parallel, &mut self.scratch.weighing, |block, logs| {
-            let mut residuals = Vec::new();
-            let nearest = likelihood.add_log(blocks[block], logs, &mut residuals);
+        let sums = weights.weigh(parallel, &mut self.scratch.weighing, |block, logs, residuals| {
+            let nearest = likelihood.add_log(blocks[block], logs, residuals);
             let mut innovation: SmallVec<[f64; 6]> = SmallVec::from_elem(0.0, m);
             let (relative, scale) = weights.block(block);
             for (innovation, values) in innovation.iter_mut().zip(residuals.chunks_exact(BLOCK)) {
@@ -262,7 +256,7 @@ impl ParticleFilter {
         if let Some(how) = unexplained {
             return Ok(Outcome::Unexplained(how));
         }
-        let total: f64 = weights.selection().totals.iter().sum();
+        let total = weights.total();
         let mut innovation: SmallVec<[f64; 6]> = SmallVec::from_elem(0.0, m);
         for (_, (_, own)) in &sums {
             innovation.iter_mut().zip(own).for_each(|(sum, own)| *sum += own / total);
@@ -274,11 +268,6 @@ impl ParticleFilter {
 
     /// Corrects in the way that the user chose.
     fn attempt<L: Likelihood>(&mut self, likelihood: &L) -> Result<Outcome, FilterError> {
-        if let Some(mover) = self.mover.take() {
-            let outcome = self.move_towards(&*mover, likelihood);
-            self.mover = Some(mover);
-            return outcome;
-        }
         match self.ahead.take() {
             Some(ahead) => self.choose_and_weigh(&ahead, likelihood),
             None => self.weigh(likelihood),
@@ -338,22 +327,24 @@ impl<M: Motion> Predict<M> for ParticleFilter {
         let mover = Mover::new(motion, &self.coordinates);
         let (seed, step, parallel, count) = (self.seed, self.step, self.parallel(), self.len());
         let (cloud, chosen) = (&self.cloud, &self.scratch.chosen);
-        let advance = |draws: &mut Vec<f64>, (block, to): (usize, &mut [f64])| {
+        let advance = |draws: &mut Vec<f64>, (block, to): (usize, &mut [f64])| -> bool {
             let mut random = Stream::new(seed, step, Purpose::Message, block as u64).fast();
             let own = (count - block * BLOCK).min(BLOCK);
             let first = block * BLOCK;
             let from = Source { cloud, first, ancestors: reselected.then(|| &chosen[first..][..own]) };
-            mover.advance(own, from, &mut random, draws, to);
+            mover.advance(own, from, &mut random, draws, to)
         };
         let next = self.scratch.cloud.values_mut();
-        if parallel {
-            next.par_chunks_mut(BLOCK * d).enumerate().for_each_init(Vec::new, advance);
+        let finite = if parallel {
+            let blocks = next.par_chunks_mut(BLOCK * d).enumerate();
+            blocks.map_init(Vec::new, advance).reduce(|| true, |a, b| a & b)
         } else {
             let mut draws = Vec::new();
-            next.chunks_mut(BLOCK * d).enumerate().for_each(|block| advance(&mut draws, block));
-        }
-        if let Some((particle, coordinate)) = summary::not_finite(&self.scratch.cloud) {
-            let value = self.scratch.cloud.at(particle, coordinate);
+            let blocks = next.chunks_mut(BLOCK * d).enumerate();
+            blocks.fold(true, |all, block| all & advance(&mut draws, block))
+        };
+        if !finite {
+            let value = summary::not_finite(&self.scratch.cloud);
             let source = MessageError::NotFinite { what: "a coordinate of a predicted particle", value };
             return Err(FilterError::Step { step: self.step, source });
         }

@@ -3,7 +3,6 @@
 mod backward;
 mod filter;
 mod look_ahead;
-mod moves;
 mod prior;
 mod rao_blackwellised;
 mod recovery;
@@ -11,6 +10,5 @@ mod summary;
 mod weights;
 
 pub use filter::{ParticleFilter, ParticleRecord};
-pub use moves::MoveReport;
 pub use rao_blackwellised::RaoBlackwellised;
 pub use recovery::Recovery;

@@ -69,7 +69,7 @@ fn over_blocks(
 
 pub(crate) fn mean(cloud: &Cloud, weights: &Weights, coordinates: &[Coordinate], parallel: bool) -> Vec<f64> {
     let d = coordinates.len();
-    let total: f64 = weights.selection().totals.iter().sum();
+    let total = weights.total();
     // A real coordinate's sum, or an angle's cosine and sine.
     let sums = over_blocks(cloud, weights, 2 * d, parallel, |relative, block, sums| {
         for (k, kind) in coordinates.iter().enumerate() {
@@ -101,7 +101,7 @@ pub(crate) fn moments(
 ) -> Moments {
     let mean = mean(cloud, weights, coordinates, parallel);
     let d = mean.len();
-    let total: f64 = weights.selection().totals.iter().sum();
+    let total = weights.total();
     let mut covariance = over_blocks(cloud, weights, d * d, parallel, |relative, block, sums| {
         let mut offset = vec![0.0; d];
         for (i, weight) in relative.iter().enumerate() {
@@ -125,19 +125,7 @@ pub(crate) fn moments(
     Moments { mean, covariance }
 }
 
-/// The first particle and coordinate that is not finite.
-pub(crate) fn not_finite(cloud: &Cloud) -> Option<(usize, usize)> {
-    for (index, block) in cloud.blocks().enumerate() {
-        // A product with zero is zero for finite numbers alone.
-        if block.iter().map(|x| x * 0.0).sum::<f64>() == 0.0 {
-            continue;
-        }
-        let count = cloud.block_len(index);
-        for (coordinate, values) in block.chunks_exact(BLOCK).enumerate() {
-            if let Some(place) = values[..count].iter().position(|x| !x.is_finite()) {
-                return Some((index * BLOCK + place, coordinate));
-            }
-        }
-    }
-    None
+/// The first coordinate that is not finite; NaN where all are.
+pub(crate) fn not_finite(cloud: &Cloud) -> f64 {
+    cloud.points().into_iter().find(|x| !x.is_finite()).unwrap_or(f64::NAN)
 }

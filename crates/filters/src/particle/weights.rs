@@ -4,12 +4,15 @@ use rayon::prelude::*;
 use sumprod_messages::vector::{self, greater};
 use sumprod_models::cloud::BLOCK;
 
+static ONES: [f64; BLOCK] = [1.0; BLOCK];
+
 /// Weights by their logs, and relative to the largest of each block.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Weights {
     /// Log weights of any scale; not kept while all are equal.
     logs: Vec<f64>,
-    /// exp(log - the block's largest).
+    count: usize,
+    /// exp(log - the block's largest); not kept while all are equal.
     relative: Vec<f64>,
     /// What makes the relative weights of a block comparable with others'.
     scales: Vec<f64>,
@@ -41,10 +44,7 @@ impl Weights {
     }
 
     pub(crate) fn become_equal(&mut self, count: usize) {
-        if self.relative.len() != count || !self.equal {
-            self.relative.clear();
-            self.relative.resize(count, 1.0);
-        }
+        self.count = count;
         self.equal = true;
         let blocks = count.div_ceil(BLOCK);
         self.scales.clear();
@@ -59,7 +59,7 @@ impl Weights {
     pub(crate) fn become_logs(&mut self, logs: &[f64]) {
         self.become_equal(logs.len());
         let mut weighing = Weighing::default();
-        let sums = self.weigh(false, &mut weighing, |block, own| {
+        let sums = self.weigh(false, &mut weighing, |block, own, _| {
             own.copy_from_slice(&logs[block * BLOCK..][..own.len()]);
         });
         self.commit(&mut weighing, &sums);
@@ -71,7 +71,12 @@ impl Weights {
     }
 
     pub(crate) fn len(&self) -> usize {
-        self.relative.len()
+        self.count
+    }
+
+    /// Sum of the weights.
+    pub(crate) fn total(&self) -> f64 {
+        self.totals.iter().sum()
     }
 
     pub(crate) fn are_equal(&self) -> bool {
@@ -85,15 +90,18 @@ impl Weights {
     /// The weight of a particle, of the same scale for all.
     #[inline(always)]
     pub(crate) fn at(&self, particle: usize) -> f64 {
-        self.relative[particle] * self.scales[particle / BLOCK]
+        if self.equal { 1.0 } else { self.relative[particle] * self.scales[particle / BLOCK] }
     }
 
     /// A block's relative weights, and what they are to be multiplied by.
     pub(crate) fn block(&self, block: usize) -> (&[f64], f64) {
         let start = block * BLOCK;
-        (&self.relative[start..(start + BLOCK).min(self.relative.len())], self.scales[block])
+        let length = (self.count - start).min(BLOCK);
+        let relative = if self.equal { &ONES[..length] } else { &self.relative[start..][..length] };
+        (relative, self.scales[block])
     }
 
+    /// What a selection needs of weights that are not all equal.
     pub(crate) fn selection(&self) -> sumprod_models::cloud::Selection<'_> {
         sumprod_models::cloud::Selection {
             weights: &self.relative,
@@ -103,33 +111,35 @@ impl Weights {
     }
 
     /// Multiplies the weights by likelihoods. `add` is given a block's number and its log weights, to which it adds
-    /// the log likelihoods, and returns what the caller wants to know of the block; these come back in order.
+    /// the log likelihoods, and storage that lasts; it returns what the caller wants to know of the block, and
+    /// these come back in order.
     ///
     /// Nothing has changed where the outcome is not taken over by [`Weights::commit`].
     pub(crate) fn weigh<T: Send>(
         &self,
         parallel: bool,
         into: &mut Weighing,
-        add: impl Fn(usize, &mut [f64]) -> T + Sync,
+        add: impl Fn(usize, &mut [f64], &mut Vec<f64>) -> T + Sync,
     ) -> Vec<(BlockSum, T)> {
         let count = self.len();
         into.logs.resize(count, 0.0);
         into.relative.resize(count, 0.0);
-        let one = |(block, (logs, relative)): (usize, (&mut [f64], &mut [f64]))| {
+        let one = |room: &mut Vec<f64>, (block, (logs, relative)): (usize, (&mut [f64], &mut [f64]))| {
             if self.equal {
                 logs.fill(0.0);
             } else {
                 logs.copy_from_slice(&self.logs[block * BLOCK..][..logs.len()]);
             }
-            let told = add(block, logs);
+            let told = add(block, logs, room);
             (vector::widest(Exponentiate { logs, relative }), told)
         };
         if parallel {
             let blocks = into.logs.par_chunks_mut(BLOCK).zip(into.relative.par_chunks_mut(BLOCK)).enumerate();
-            blocks.map(one).collect()
+            blocks.map_init(Vec::new, one).collect()
         } else {
+            let mut room = Vec::new();
             let blocks = into.logs.chunks_mut(BLOCK).zip(into.relative.chunks_mut(BLOCK)).enumerate();
-            blocks.map(one).collect()
+            blocks.map(|block| one(&mut room, block)).collect()
         }
     }
 

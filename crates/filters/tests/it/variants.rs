@@ -6,7 +6,7 @@ use sumprod_graph::Space;
 use sumprod_models::cloud::LogLikelihood;
 use sumprod_models::library::ConstantVelocity;
 use sumprod_models::{Block, Cluster, Motion, Noise, ProcessNoise, Real, Residual};
-use sumprod_optimizers::{RandomWalk, Regularised, Trigger, Weigh};
+use sumprod_optimizers::Trigger;
 
 /// Mean of exp(log-evidence - exact) over runs, within 4.5 of its standard errors of one: wrong with probability below
 /// 4e-5 (t with 59 degrees of freedom).
@@ -63,26 +63,6 @@ fn the_rao_blackwellised_filters_moments_are_right() {
     assert!(RaoBlackwellised::new(&track.prior, &[0, 0], 10, 1).is_err());
     assert!(RaoBlackwellised::new(&track.prior, &[0, 1, 2, 3], 10, 1).is_err());
     assert!(RaoBlackwellised::new(&track.prior, &[0], 0, 1).is_err());
-}
-
-#[test]
-fn a_filter_that_moves_its_particles_keeps_the_evidence() {
-    let track = Track::simulated(15, 10, false);
-    unbiased(&track, |seed| {
-        particles(&track, 1000, seed).moving_by(Weigh).run(track.steps()).unwrap().log_evidence
-    });
-    let mut filter = particles(&track, 1000, 1).moving_by(RandomWalk::new(3, 1.0).unwrap());
-    filter.run(track.steps()).unwrap();
-    let report = filter.move_report().unwrap();
-    assert!(report.acceptance.unwrap() > 0.01 && report.ancestors.len() == 1000);
-    assert!(filter.likelihood_evaluations() > 10_000);
-    let mut regularised = particles(&track, 2000, 1).moving_by(Regularised::default());
-    regularised.run(track.steps()).unwrap();
-    let mut kalman = Kalman::<4>::new(&track.prior).unwrap();
-    kalman.run(track.steps()).unwrap();
-    for (found, exact) in regularised.mean().iter().zip(kalman.mean()) {
-        assert!((found - exact).abs() < 0.5, "{found} {exact}");
-    }
 }
 
 /// 500 trajectories: means within a fifth of a deviation of the exact smoother's, at all steps.

@@ -8,6 +8,8 @@ use super::BLOCK;
 use rayon::prelude::*;
 use sumprod_messages::vector;
 
+const TWO_TO_52: f64 = 4_503_599_627_370_496.0;
+
 /// Weights by block: each block's own, relative, and the factor that makes them comparable.
 #[derive(Clone, Copy, Debug)]
 pub struct Selection<'a> {
@@ -81,17 +83,29 @@ impl Job<'_> {
         let shift = offset + self.first as f64;
         let room = self.own.len();
         self.own.fill(0);
+        // Cumulative weights first, then all places at once, then the particles to their places.
+        let mut reached = self.before;
+        let mut places = [0.0; BLOCK];
+        for (place, &weight) in places.iter_mut().zip(weights) {
+            reached += weight * scale;
+            *place = reached;
+        }
+        let most = room as f64;
+        let mut ends = [0; BLOCK];
+        for (end, place) in ends.iter_mut().zip(&places) {
+            let up = (place * density - shift).ceil();
+            let up = if up > 0.0 { up } else { 0.0 };
+            let up = if up < most { up } else { most };
+            // 2^52 and a small integer: the lowest bits are the integer, and the conversion is one of vectors.
+            *end = (up + TWO_TO_52).to_bits() as u32;
+        }
         // The first place of the next particle among the block's own.
         let mut next = 0;
-        let mut reached = self.before;
-        for (index, &weight) in weights.iter().enumerate() {
-            reached += weight * scale;
+        for (index, (&weight, &end)) in weights.iter().zip(&ends).enumerate() {
             if weight > 0.0 && next < room {
                 self.own[next] = (start + index) as u32;
             }
-            let end = (reached * density - shift).ceil();
-            // A cast of a negative number is zero.
-            next = (end as usize).clamp(next, room);
+            next = next.max(end as usize);
         }
         let mut own = 0;
         for chosen in &mut *self.own {

@@ -10,7 +10,7 @@ use sumprod_messages::vector;
 pub type Residuals = Vec<f64>;
 
 /// Writes the residual, of one variable, at a block's first `count` particles; angles wrapped.
-pub fn residuals<R: Residual>(residual: &R, block: &[f64], count: usize, out: &mut Residuals) {
+fn residuals<R: Residual>(residual: &R, block: &[f64], count: usize, out: &mut Residuals) {
     let m = residual.noise().dimension();
     out.resize(m * BLOCK, 0.0);
     looked();
@@ -57,7 +57,7 @@ impl<R: Residual> pulp::NullaryFnOnce for Evaluate<'_, R> {
 }
 
 /// Adds the noise's log density of each residual to `log_values`; returns the least squared length r'R⁻¹r.
-pub fn add_log_densities(noise: &Noise, residuals: &[f64], log_values: &mut [f64]) -> f64 {
+fn add_log_densities(noise: &Noise, residuals: &[f64], log_values: &mut [f64]) -> f64 {
     vector::widest(LogDensities { noise, residuals, log_values })
 }
 
@@ -103,7 +103,18 @@ impl pulp::NullaryFnOnce for LogDensities<'_> {
                 }
             }
         }
-        squared.iter().fold(f64::INFINITY, |least, &s| if s < least { s } else { least })
+        // Eight least ones at a time: one would be a chain of comparisons.
+        let mut least = [f64::INFINITY; WIDTH];
+        let (chunks, rest) = squared.as_chunks::<WIDTH>();
+        for chunk in chunks {
+            for (least, s) in least.iter_mut().zip(chunk) {
+                *least = if *s < *least { *s } else { *least };
+            }
+        }
+        for (least, s) in least.iter_mut().zip(rest) {
+            *least = if *s < *least { *s } else { *least };
+        }
+        least.iter().copied().fold(f64::INFINITY, f64::min)
     }
 }
 
@@ -123,8 +134,8 @@ pub trait Likelihood: Sync {
     fn components(&self) -> usize;
 
     /// Adds the log likelihood at a block's first particles, as many as `log_values` has places, and returns the
-    /// least squared length of a residual; infinity where there are no residuals. Where there are, `residuals` holds
-    /// them component by component, [`BLOCK`] values each.
+    /// least squared length of a residual; infinity where there are no residuals. Where there are, they replace what
+    /// `residuals` holds.
     fn add_log(&self, block: &[f64], log_values: &mut [f64], residuals: &mut Residuals) -> f64;
 }
 
@@ -165,14 +176,13 @@ impl<L: Likelihood> Likelihood for Vec<L> {
         self.iter().map(Likelihood::components).sum()
     }
 
-    fn add_log(&self, block: &[f64], log_values: &mut [f64], out: &mut Residuals) -> f64 {
-        // Each must be explained by some particle.
+    fn add_log(&self, block: &[f64], log_values: &mut [f64], residuals: &mut Residuals) -> f64 {
         let (mut own, mut nearest) = (Residuals::new(), 0.0_f64);
-        out.clear();
+        residuals.clear();
         for likelihood in self {
-            own.clear();
+            // Each must be explained by some particle.
             nearest = nearest.max(likelihood.add_log(block, log_values, &mut own));
-            out.extend_from_slice(&own);
+            residuals.extend_from_slice(&own);
         }
         nearest
     }
@@ -197,14 +207,16 @@ impl<F: Fn(&[f64]) -> f64 + Sync> Likelihood for LogLikelihood<F> {
     }
 }
 
-/// Writes the log likelihood at each row of `points` (row-major, as many rows as `log_values` has places).
-pub fn log_values<L: Likelihood + ?Sized>(likelihood: &L, points: &[f64], log_values: &mut [f64]) {
+/// Writes the log likelihood at each row of `points` (row-major, as many rows as `log_values` has places), and returns
+/// the least squared length of a residual.
+pub fn log_values<L: Likelihood + ?Sized>(likelihood: &L, points: &[f64], log_values: &mut [f64]) -> f64 {
     let cloud = Cloud::from_points(points.len() / log_values.len().max(1), points);
-    let mut residuals = Residuals::new();
+    let (mut residuals, mut nearest) = (Residuals::new(), f64::INFINITY);
     log_values.fill(0.0);
     for (block, log_values) in cloud.blocks().zip(log_values.chunks_mut(BLOCK)) {
-        likelihood.add_log(block, log_values, &mut residuals);
+        nearest = nearest.min(likelihood.add_log(block, log_values, &mut residuals));
     }
+    nearest
 }
 
 /// Adds a function of the point to each log value.

@@ -10,7 +10,7 @@ use crate::{Linearised, Motion, ProcessNoise, Residual};
 use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
 use smallvec::SmallVec;
-use sumprod_graph::{Coordinate, FastStream, MessageError, Port, Space, Stream, wrap_angle};
+use sumprod_graph::{Coordinate, MessageError, Port, Space, Stream, wrap_angle};
 use sumprod_messages::{
     Cholesky, DynamicGaussian, MixtureForm, MixtureMessage, Particles, ParticlesForm, Proposal, Role,
 };
@@ -121,7 +121,8 @@ impl<R: Residual> ResidualModel<R> {
 
     fn evaluate_at(&self, to: Port, carrier: &Particles, senders: &Senders, log_values: &mut [f64]) {
         if self.0.dimensions().len() == 1 {
-            return cloud::log_values(&self.0, carrier.points(), log_values);
+            cloud::log_values(&self.0, carrier.points(), log_values);
+            return;
         }
         let noise = self.noise();
         let scalar = noise.dimension() == 1 && noise.degrees_of_freedom().is_none();

@@ -11,6 +11,8 @@ use super::numbers::at_least_one;
 use crate::PositioningError;
 use crate::scenario::GraphSummary;
 
+/// Particles where a method does not say how many.
+const PARTICLES: u32 = 500;
 /// Coordinates of a robot's own state that are sampled: its position. The rest, heading and errors of scale, enters
 /// motions and measurements almost linearly once the position is known.
 const SAMPLED: [usize; 2] = [0, 1];
@@ -69,7 +71,7 @@ impl Way {
                 ));
             }
         }
-        let count = particles.unwrap_or(1000);
+        let count = particles.unwrap_or(PARTICLES);
         at_least_one(&key("particles"), count)?;
         Ok(Self::Particles(count as usize))
     }
@@ -149,4 +151,31 @@ fn run<C: Parts>(
         visit(slice, &joint)?;
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn keys_that_mean_nothing_are_refused() {
+        let sentence =
+            |inference, keys, particles| Way::new("m", inference, keys, particles).unwrap_err().to_string();
+        assert_eq!(
+            sentence(Inference::Filter, [None; 3], Some(10)),
+            "`method.m.particles` belongs to a particle filter; leave it out"
+        );
+        assert_eq!(
+            sentence(Inference::ParticleFilter, [None, Some(2), None], None),
+            "`method.m.lag` means nothing to a particle filter; leave it out"
+        );
+        assert_eq!(
+            sentence(Inference::ParticleFilter, [None; 3], Some(0)),
+            "`method.m.particles` is 0; it must be at least 1"
+        );
+        assert_eq!(
+            Way::new("m", Inference::ParticleFilter, [None; 3], None).unwrap(),
+            Way::Particles(PARTICLES as usize)
+        );
+    }
 }
