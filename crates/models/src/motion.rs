@@ -16,13 +16,20 @@ use sumprod_graph::{MessageError, Port, Stream};
 use sumprod_messages::{Cholesky, MixtureForm, MixtureMessage, Moments, Particles, ParticlesForm, Proposal};
 
 /// Process noise by a factor B (state by sources, row-major): covariance B B'.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug)]
 pub struct ProcessNoise {
     dimension: usize,
     sources: usize,
     factor: SmallVec<[f64; 16]>,
     /// B B', of noise that is made once and used at every state; else empty.
     covariance: SmallVec<[f64; 16]>,
+}
+
+impl PartialEq for ProcessNoise {
+    /// Whether the factors are equal; the covariance follows from them.
+    fn eq(&self, other: &Self) -> bool {
+        (self.dimension, &self.factor) == (other.dimension, &other.factor)
+    }
 }
 
 impl ProcessNoise {
