@@ -29,6 +29,13 @@ macro_rules! run {
 /// One test per example, by its name.
 mod of {
     run!(
-        encoder_calibration, filters, linear_chain, own_factor, own_message, own_schedule, p_mpa, swap_forms
+        encoder_calibration,
+        filters,
+        linear_chain,
+        own_factor,
+        own_message,
+        own_schedule,
+        p_mpa,
+        swap_forms
     );
 }
