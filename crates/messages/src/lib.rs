@@ -26,9 +26,10 @@ pub use dynamic::DynamicGaussian;
 pub use gaussian::{Gaussian, GaussianFamily, GaussianForm, Linearisation};
 pub use kernel::floor_diagonal;
 pub use mixture::{
-    AnnealedGibbs, Auto, Bandwidth, BandwidthChoice, Evaluator, Exact, GaussianImportance, Gibbs, GibbsStart,
-    Literal, Mixture, MixtureFamily, MixtureForm, MixtureImportance, MixtureMessage, Mode, MultiscaleGibbs,
-    Pairwise, Pointwise, Potential, Product, ProductChoice, ProductMethod, ProductQuality, modes,
+    AnnealedGibbs, Auto, Bandwidth, BandwidthChoice, Conditional, ConditionalDraw, Evaluator, Exact,
+    GaussianImportance, Gibbs, GibbsStart, Literal, Mixture, MixtureFamily, MixtureForm, MixtureImportance,
+    MixtureMessage, Mode, MultiscaleGibbs, Pairwise, Pointwise, Potential, Product, ProductChoice,
+    ProductMethod, ProductQuality, modes,
 };
 pub use moments::{Moments, gaussian_divergence};
 pub use particles::{Particles, ParticlesForm, Proposal, Role};

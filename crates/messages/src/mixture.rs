@@ -6,6 +6,7 @@
 
 mod bandwidth;
 mod condense;
+mod conditional;
 mod conversion;
 mod density;
 mod family;
@@ -14,6 +15,7 @@ mod kernels;
 mod lift;
 mod message;
 mod modes;
+mod parts;
 mod potential;
 mod product;
 mod record;
@@ -24,6 +26,7 @@ mod times;
 mod tree;
 
 pub use bandwidth::Bandwidth;
+pub use conditional::{Conditional, ConditionalDraw};
 pub(crate) use conversion::drawn_loss;
 pub use density::Evaluator;
 pub use family::MixtureFamily;
