@@ -7,8 +7,8 @@ use proptest::test_runner::RngSeed;
 use sumprod_graph::Space;
 use sumprod_messages::Moments;
 use sumprod_models::library::{
-    AnchorOffset, AnchorRange, Bearing, CalibratedRange, LinearGaussian, Prior, Range, RangeBearing,
-    RelativePosition, Unicycle,
+    AnchorOffset, AnchorRange, Bearing, CalibratedRange, LinearGaussian, PosePrior, Prior, Range,
+    RangeBearing, RelativePose, RelativePosition, Unicycle,
 };
 use sumprod_models::{Blocks, Motion, Noise, Real, Residual, Transition, check_residual};
 
@@ -46,6 +46,20 @@ proptest! {
         sensor.residual(&[&x[..], &[0.05, -0.4]], &mut residual);
         let distance = (x[0] - anchor[0]).hypot(x[2] - anchor[1]);
         prop_assert!((residual[0] - (1.05 * distance - 0.4 - z)).abs() < 1e-12 * (1.0 + distance));
+    }
+
+    #[test]
+    fn poses(a in coordinates(3), b in coordinates(3), z in coordinates(3), near in 0.0f64..0.06) {
+        let measured = [z[0], z[1], 0.05 * z[2]];
+        let relative = RelativePose::new(measured, noise(3)).unwrap();
+        // Headings whose difference is anything but half a turn, where the logarithm jumps; and nearly equal ones.
+        for turn in [0.05 * b[2], near] {
+            let heading = a[2] + measured[2] + turn;
+            let to = [b[0], b[1], heading];
+            prop_assert_eq!(check_residual(&relative, &[&a, &to], TOLERANCE), Ok(()));
+            let prior = PosePrior::new([a[0], a[1], a[2]], noise(3)).unwrap();
+            prop_assert_eq!(check_residual(&prior, &[&[b[0], b[1], a[2] + turn]], TOLERANCE), Ok(()));
+        }
     }
 
     #[test]

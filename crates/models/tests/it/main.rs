@@ -14,6 +14,7 @@ mod mixtures;
 mod noise;
 mod pairs;
 mod particles;
+mod range_clique;
 mod rigid;
 mod sigma;
 mod support;
