@@ -126,6 +126,15 @@ pub struct Diagnostic {
     pub value: f64,
 }
 
+/// Numbers that a method reports about itself as one array.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct DiagnosticList {
+    /// Its name; a dot groups.
+    pub name: String,
+    /// Its finite values, as many in every run.
+    pub values: Vec<f64>,
+}
+
 /// A number that a method reports about itself at every step.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct DiagnosticSeries {
@@ -148,6 +157,9 @@ pub struct MethodRun {
     pub layout: StateLayout,
     /// Named numbers, averaged over the runs by the metrics; `n_eff` is the effective sample size.
     pub diagnostics: Vec<Diagnostic>,
+    /// Named arrays, averaged over the runs entry by entry.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub lists: Vec<DiagnosticList>,
     /// Named numbers by step.
     pub series: Vec<DiagnosticSeries>,
     /// Sentences for the reader, each shown once.
@@ -168,6 +180,7 @@ impl MethodRun {
             seconds: 0.0,
             layout,
             diagnostics: Vec::new(),
+            lists: Vec::new(),
             series: Vec::new(),
             notes: Vec::new(),
             steps: Vec::new(),
@@ -263,6 +276,11 @@ impl MethodRun {
     /// Adds a named number.
     pub fn diagnose(&mut self, name: &str, value: f64) {
         self.diagnostics.push(Diagnostic { name: name.to_owned(), value });
+    }
+
+    /// Adds a named array.
+    pub fn list(&mut self, name: &str, values: Vec<f64>) {
+        self.lists.push(DiagnosticList { name: name.to_owned(), values });
     }
 
     /// Number of estimates.

@@ -83,17 +83,27 @@ fn statistic(statistic: &Statistic<f64>) -> String {
     }
 }
 
-fn remarks(id: &str, metrics: &MethodMetrics) -> Vec<String> {
-    let mut reported = Vec::new();
-    for (name, value) in metrics.diagnostics.iter().filter(|(name, _)| *name != "n_eff") {
-        match value {
-            DiagnosticValue::Number(value) => reported.push(format!("{name} {}", number(*value))),
-            DiagnosticValue::Group(kinds) => {
-                reported
-                    .extend(kinds.iter().map(|(kind, value)| format!("{name}.{kind} {}", number(*value))));
-            }
+/// One entry a number or array, those of a group under their dotted names.
+fn told(name: &str, value: &DiagnosticValue) -> Vec<String> {
+    let array = |values: &[f64]| {
+        let values: Vec<String> = values.iter().map(|value| number(*value)).collect();
+        format!("[{}]", values.join(" "))
+    };
+    match value {
+        DiagnosticValue::Number(value) => vec![format!("{name} {}", number(*value))],
+        DiagnosticValue::Group(kinds) => {
+            kinds.iter().map(|(kind, value)| format!("{name}.{kind} {}", number(*value))).collect()
+        }
+        DiagnosticValue::List(values) => vec![format!("{name} {}", array(values))],
+        DiagnosticValue::Lists(kinds) => {
+            kinds.iter().map(|(kind, values)| format!("{name}.{kind} {}", array(values))).collect()
         }
     }
+}
+
+fn remarks(id: &str, metrics: &MethodMetrics) -> Vec<String> {
+    let own = metrics.diagnostics.iter().filter(|(name, _)| *name != "n_eff");
+    let reported: Vec<String> = own.flat_map(|(name, value)| told(name, value)).collect();
     let singular = metrics.summary.nees.as_ref().and_then(|nees| nees.position.as_ref()?.singular);
     let mut lines = Vec::new();
     if !reported.is_empty() {

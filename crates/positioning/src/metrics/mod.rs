@@ -97,7 +97,7 @@ pub struct MethodMetrics {
     pub notes: Vec<String>,
 }
 
-/// A reported number, or several under one name.
+/// A reported number or array, or several under one name.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(untagged)]
 pub enum DiagnosticValue {
@@ -105,6 +105,10 @@ pub enum DiagnosticValue {
     Number(f64),
     /// Numbers by kind, as in `conversion_loss.range`.
     Group(BTreeMap<String, f64>),
+    /// Numbers in order, as in `log_evidence` by step.
+    List(Vec<f64>),
+    /// Arrays by kind.
+    Lists(BTreeMap<String, Vec<f64>>),
 }
 
 impl Report {
@@ -190,8 +194,42 @@ fn collect<'a>(id: &str, runs: &'a [RunResult]) -> Result<Vec<&'a MethodRun>, Po
     Ok(mine)
 }
 
-/// Averages each named number over the runs that report it, and groups names at their dot.
+/// Averages each named number and array over the runs that report it, and groups names at their dot.
 fn grouped(id: &str, mine: &[&MethodRun]) -> Result<BTreeMap<String, DiagnosticValue>, PositioningError> {
+    let mut groups = BTreeMap::new();
+    gather(id, numbers(id, mine)?, DiagnosticValue::Number, DiagnosticValue::Group, &mut groups)?;
+    gather(id, lists(id, mine)?, DiagnosticValue::List, DiagnosticValue::Lists, &mut groups)?;
+    Ok(groups)
+}
+
+/// Adds values under their names, those with a dot as groups of one kind of value.
+fn gather<T>(
+    id: &str,
+    named: BTreeMap<&str, T>,
+    alone: fn(T) -> DiagnosticValue,
+    together: fn(BTreeMap<String, T>) -> DiagnosticValue,
+    groups: &mut BTreeMap<String, DiagnosticValue>,
+) -> Result<(), PositioningError> {
+    let mut dotted: BTreeMap<&str, BTreeMap<String, T>> = BTreeMap::new();
+    let mut taken = None;
+    for (name, value) in named {
+        match name.split_once('.') {
+            Some((group, kind)) => {
+                dotted.entry(group).or_default().insert(kind.to_owned(), value);
+            }
+            None if groups.insert(name.to_owned(), alone(value)).is_some() => taken = Some(name),
+            None => {}
+        }
+    }
+    for (group, kinds) in dotted {
+        if groups.insert(group.to_owned(), together(kinds)).is_some() {
+            taken = Some(group);
+        }
+    }
+    taken.map_or(Ok(()), |name| Err(broken(format!("method `{id}` reports two things as {name}"))))
+}
+
+fn numbers<'a>(id: &str, mine: &[&'a MethodRun]) -> Result<BTreeMap<&'a str, f64>, PositioningError> {
     let mut sums: BTreeMap<&str, (f64, usize)> = BTreeMap::new();
     for diagnostic in mine.iter().flat_map(|method| &method.diagnostics) {
         if !diagnostic.value.is_finite() {
@@ -202,24 +240,26 @@ fn grouped(id: &str, mine: &[&MethodRun]) -> Result<BTreeMap<String, DiagnosticV
         *sum += diagnostic.value;
         *count += 1;
     }
-    let mut groups = BTreeMap::new();
-    for (name, (sum, count)) in sums {
-        let value = sum / count as f64;
-        let Some((group, kind)) = name.split_once('.') else {
-            groups.insert(name.to_owned(), DiagnosticValue::Number(value));
-            continue;
-        };
-        let entry = groups.entry(group.to_owned()).or_insert_with(|| DiagnosticValue::Group(BTreeMap::new()));
-        match entry {
-            DiagnosticValue::Group(kinds) => {
-                kinds.insert(kind.to_owned(), value);
-            }
-            DiagnosticValue::Number(_) => {
-                return Err(broken(format!("method `{id}` reports both {group} and {name}")));
-            }
+    Ok(sums.into_iter().map(|(name, (sum, count))| (name, sum / count as f64)).collect())
+}
+
+fn lists<'a>(id: &str, mine: &[&'a MethodRun]) -> Result<BTreeMap<&'a str, Vec<f64>>, PositioningError> {
+    let mut sums: BTreeMap<&str, (Vec<f64>, usize)> = BTreeMap::new();
+    for list in mine.iter().flat_map(|method| &method.lists) {
+        if let Some(value) = list.values.iter().find(|value| !value.is_finite()) {
+            return Err(broken(format!("method `{id}` reports {value} in {}", list.name)));
         }
+        let (sum, count) = sums.entry(&list.name).or_insert_with(|| (vec![0.0; list.values.len()], 0));
+        if sum.len() != list.values.len() {
+            return Err(broken(format!("method `{id}` reports {} of different lengths", list.name)));
+        }
+        sum.iter_mut().zip(&list.values).for_each(|(sum, value)| *sum += value);
+        *count += 1;
     }
-    Ok(groups)
+    let average = |(name, (sum, count)): (_, (Vec<f64>, usize))| {
+        (name, sum.iter().map(|value| value / count as f64).collect())
+    };
+    Ok(sums.into_iter().map(average).collect())
 }
 
 fn notes(mine: &[&MethodRun]) -> Vec<String> {
