@@ -18,6 +18,7 @@ pub const BUILTINS: &[Builtin] = &[
     Builtin { name: "mrclam", text: include_str!("../scenarios/mrclam.toml") },
     Builtin { name: "plaza", text: include_str!("../scenarios/plaza.toml") },
     Builtin { name: "product", text: include_str!("../scenarios/product.toml") },
+    Builtin { name: "range-slam-small", text: include_str!("../scenarios/range-slam-small.toml") },
     #[cfg(test)]
     Builtin { name: "walk", text: include_str!("testing/walk.toml") },
 ];

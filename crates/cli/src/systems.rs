@@ -3,6 +3,7 @@
 use sumprod_positioning::cooperation::Cooperation;
 use sumprod_positioning::pmpa::PMpa;
 use sumprod_positioning::product::Product;
+use sumprod_positioning::range_slam::RangeSlam;
 use sumprod_positioning::robots::mrclam::Mrclam;
 use sumprod_positioning::robots::plaza::Plaza;
 use sumprod_positioning::scenario::Scenario;
@@ -26,6 +27,7 @@ pub const SYSTEMS: &[&str] = &[
     Mrclam::SYSTEM,
     Plaza::SYSTEM,
     Product::SYSTEM,
+    RangeSlam::SYSTEM,
     #[cfg(test)]
     crate::testing::Walk::SYSTEM,
 ];
@@ -38,6 +40,7 @@ pub fn dispatch<A: Action>(document: &Document, action: A) -> Result<A::Output, 
         Mrclam::SYSTEM => action.on::<Mrclam>(document),
         Plaza::SYSTEM => action.on::<Plaza>(document),
         Product::SYSTEM => action.on::<Product>(document),
+        RangeSlam::SYSTEM => action.on::<RangeSlam>(document),
         #[cfg(test)]
         crate::testing::Walk::SYSTEM => action.on::<crate::testing::Walk>(document),
         unknown => {

@@ -131,3 +131,16 @@ fn a_network_that_nothing_fixes_says_what_would() {
         assert!(message.contains("add anchors"), "{message}");
     }
 }
+
+#[test]
+fn a_range_only_graph_that_breaks_off_is_refused_with_its_line() {
+    let file = File::new("graph", "Variable Pose SE2 A 0 0 0\nVariable Landmark R2 L 1");
+    for verb in ["run", "check"] {
+        let message = refused(&[verb, "range-slam-small", "--data", file.name()]);
+        assert!(message.contains(":2: the line is cut short: y is missing after 5 fields"), "{message}");
+        assert_eq!(message.lines().count(), 1, "{message}");
+    }
+    let message =
+        refused(&["run", "range-slam-small", "--data", file.name(), "--set", "method.mixture.samples=0"]);
+    assert!(message.contains("`method.mixture.samples` is 0"), "{message}");
+}

@@ -10,6 +10,7 @@
 //! | [`cooperation`] | agents that locate themselves by ranges to each other and to anchors |
 //! | [`pmpa`] | one target among known nodes: Kalman, particle and message-passing filters |
 //! | [`product`] | products of recorded mixtures, by several methods |
+//! | [`range_slam`] | landmarks located by ranges alone, by mixtures |
 //! | [`robots`] | robots located on recorded data |
 //! | [`error`] | the crate's error |
 
@@ -21,6 +22,7 @@ pub mod form;
 pub mod metrics;
 pub mod pmpa;
 pub mod product;
+pub mod range_slam;
 pub mod results;
 pub mod robots;
 pub mod scenario;

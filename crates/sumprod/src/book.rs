@@ -25,5 +25,6 @@ chapters! {
     Data: "../../../docs/src/data.md",
     PMpa: "../../../docs/src/p-mpa.md",
     Cooperation: "../../../docs/src/cooperation.md",
+    RangeSlam: "../../../docs/src/range-slam.md",
     Decisions: "../../../docs/src/decisions.md",
 }

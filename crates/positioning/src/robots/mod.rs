@@ -19,7 +19,7 @@ pub mod particles;
 
 mod numbers;
 #[cfg(test)]
-mod scratch;
+pub(crate) mod scratch;
 
 use sumprod_messages::Moments;
 
