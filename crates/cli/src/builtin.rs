@@ -15,6 +15,7 @@ pub const BUILTINS: &[Builtin] = &[
     Builtin { name: "coop-c3", text: include_str!("../scenarios/coop-c3.toml") },
     Builtin { name: "coop-c10", text: include_str!("../scenarios/coop-c10.toml") },
     Builtin { name: "coop-c100", text: include_str!("../scenarios/coop-c100.toml") },
+    Builtin { name: "coop-static", text: include_str!("../scenarios/coop-static.toml") },
     Builtin { name: "mrclam", text: include_str!("../scenarios/mrclam.toml") },
     Builtin { name: "plaza", text: include_str!("../scenarios/plaza.toml") },
     Builtin { name: "product", text: include_str!("../scenarios/product.toml") },

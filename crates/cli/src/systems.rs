@@ -7,6 +7,7 @@ use sumprod_positioning::range_slam::RangeSlam;
 use sumprod_positioning::robots::mrclam::Mrclam;
 use sumprod_positioning::robots::plaza::Plaza;
 use sumprod_positioning::scenario::Scenario;
+use sumprod_positioning::static_network::StaticNetwork;
 
 use crate::document::Document;
 use crate::failure::Failure;
@@ -24,6 +25,7 @@ pub trait Action {
 pub const SYSTEMS: &[&str] = &[
     PMpa::SYSTEM,
     Cooperation::SYSTEM,
+    StaticNetwork::SYSTEM,
     Mrclam::SYSTEM,
     Plaza::SYSTEM,
     Product::SYSTEM,
@@ -37,6 +39,7 @@ pub fn dispatch<A: Action>(document: &Document, action: A) -> Result<A::Output, 
     match document.system()? {
         PMpa::SYSTEM => action.on::<PMpa>(document),
         Cooperation::SYSTEM => action.on::<Cooperation>(document),
+        StaticNetwork::SYSTEM => action.on::<StaticNetwork>(document),
         Mrclam::SYSTEM => action.on::<Mrclam>(document),
         Plaza::SYSTEM => action.on::<Plaza>(document),
         Product::SYSTEM => action.on::<Product>(document),

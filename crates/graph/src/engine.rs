@@ -1,6 +1,7 @@
 //! The engine: messages and beliefs, computed as a schedule asks.
 
 mod flood;
+mod forms;
 mod pass;
 mod state;
 
@@ -12,6 +13,7 @@ use crate::{
     EdgeId, Factor, FactorGraph, GraphError, Message, Node, Quality, Report, Schedule, Stop, Topology,
     VariableId,
 };
+use forms::Forms;
 use pass::{Run, refresh};
 
 /// What variables send to factors.
@@ -72,6 +74,8 @@ impl Options {
 
 /// Number of edges from which a pass is worth spreading over threads.
 const PARALLEL_EDGES: usize = 32;
+/// Number of beliefs from which bringing them up to date is.
+const PARALLEL_BELIEFS: usize = 8;
 /// Number of messages up to which a product of the others replaces an inexact quotient.
 const FEW_MESSAGES: usize = 8;
 /// Number of edges from which a belief is updated by the message that changed, and computed anew once per pass:
@@ -87,7 +91,7 @@ pub struct Engine<'g, M: Message, F = Box<dyn Factor<M>>> {
     topology: Topology,
     options: Options,
     state: State<M>,
-    belief_forms: Vec<M::Form>,
+    forms: Forms<M>,
     flood: flood::Plan<M>,
     scratch: Scratch<M>,
     pending: Vec<M>,
@@ -124,23 +128,7 @@ impl<'g, M: Message, F: Factor<M>> Engine<'g, M, F> {
         state: State<M>,
     ) -> Result<Self, GraphError> {
         options.check()?;
-        for factor in graph.factor_ids() {
-            for (port, edge) in graph.edge_range(factor).enumerate() {
-                let variable = VariableId(graph.edge_variable[edge]);
-                M::check_form(&graph.edge_form[edge], graph.space(variable)).map_err(|reason| {
-                    GraphError::Form {
-                        factor: graph.factor_name(factor),
-                        port,
-                        variable: graph.variable_name(variable),
-                        reason,
-                    }
-                })?;
-            }
-        }
-        let belief_forms: Vec<M::Form> = graph
-            .variable_ids()
-            .map(|variable| graph.belief_form(variable, topology.raw_edges_of_variable(variable.index())))
-            .collect();
+        let forms = Forms::new(graph, &topology)?;
         let vacuous = state.beliefs.first().cloned().unwrap_or_else(|| M::vacuous(&crate::Space::real(1)));
         let arity = graph.factor_ids().map(|factor| graph.arity(factor)).max().unwrap_or(0);
         let scratch = Scratch { inputs: vec![vacuous.clone(); arity], output: vacuous };
@@ -148,12 +136,12 @@ impl<'g, M: Message, F: Factor<M>> Engine<'g, M, F> {
         let mut state = state;
         for variable in 0..topology.variable_count() {
             if std::mem::take(&mut state.stale[variable]) {
-                refresh(graph, &topology, &options, &mut state, &belief_forms, variable)?;
+                refresh(graph, &topology, &options, &mut state, &forms, variable)?;
             }
         }
         let (pending, touched) = (Vec::new(), Vec::new());
         let exchange = [scratch.output.clone(), scratch.output.clone()];
-        Ok(Self { graph, topology, options, state, belief_forms, flood, scratch, pending, touched, exchange })
+        Ok(Self { graph, topology, options, state, forms, flood, scratch, pending, touched, exchange })
     }
 
     /// Runs a schedule until it has finished, the messages have converged, or the cap is reached.

@@ -1,11 +1,13 @@
 //! Schedules: which messages are recomputed, in which order.
 
+mod coloured;
 mod flooding;
 mod forward_backward;
 mod residual;
 mod sequential;
 mod sliced;
 
+pub use coloured::Coloured;
 pub use flooding::Flooding;
 pub use forward_backward::ForwardBackward;
 pub use residual::Residual;

@@ -6,6 +6,7 @@
 //! | [`DynamicGaussian`] | the same, dimension chosen at run time; no heap up to five | addition | subtraction |
 //! | [`Particles`] | points with log weights | on one support, else by kernels | on one support |
 //! | [`MixtureMessage`] | a [`Mixture`] of Gaussians, or a [`Potential`] that leaves directions open | by a [`ProductMethod`] | by one Gaussian |
+//! | [`LatticeMessage`] | values on cells of the plane, or a Gaussian, by the form of each edge | on the belief's cells | where both can |
 //! | [`AnyMessage`] | any of these, by the form of each edge | in the form of the belief | where both can |
 //!
 //! Adding a family to the mix touches its own file and [`AnyMessage`] alone.
@@ -15,6 +16,7 @@ mod dense;
 mod dynamic;
 mod gaussian;
 mod kernel;
+mod lattice;
 mod mixture;
 mod moments;
 mod particles;
@@ -25,6 +27,7 @@ pub use dense::Cholesky;
 pub use dynamic::DynamicGaussian;
 pub use gaussian::{Gaussian, GaussianFamily, GaussianForm, Linearisation};
 pub use kernel::floor_diagonal;
+pub use lattice::{Cell, Lattice, LatticeForm, LatticeMessage, LatticeValue};
 pub use mixture::{
     AnnealedGibbs, Auto, Bandwidth, BandwidthChoice, Conditional, ConditionalDraw, Evaluator, Exact,
     GaussianImportance, Gibbs, GibbsStart, Literal, Mixture, MixtureFamily, MixtureForm, MixtureImportance,

@@ -8,6 +8,7 @@
 //! | [`campaign`] | runs in parallel, in a fixed order, resumable |
 //! | [`form`] | how scenario files spell the form of an edge |
 //! | [`cooperation`] | agents that locate themselves by ranges to each other and to anchors |
+//! | [`static_network`] | agents that stand still and locate themselves by ranges alone |
 //! | [`pmpa`] | one target among known nodes: Kalman, particle and message-passing filters |
 //! | [`product`] | products of recorded mixtures, by several methods |
 //! | [`range_slam`] | landmarks located by ranges alone, by mixtures |
@@ -26,5 +27,6 @@ pub mod range_slam;
 pub mod results;
 pub mod robots;
 pub mod scenario;
+pub mod static_network;
 
 pub use error::PositioningError;

@@ -11,6 +11,7 @@
 //! What the pass reports as change is the beliefs': one comparison per variable instead of one per message, and
 //! at the end of a pass every message has met its belief.
 
+use super::forms::Forms;
 use super::pass::{damp, extrinsic, product_error, replace_guess, rule_error};
 use super::{Engine, Options, PARALLEL_EDGES, Scratch, State};
 use crate::{
@@ -145,7 +146,7 @@ struct Shared<'a, M: Message, F> {
     state: &'a State<M>,
     /// The messages as they stood, where a start still stands in for a belief.
     previous: &'a [M],
-    belief_forms: &'a [M::Form],
+    forms: &'a Forms<M>,
 }
 
 pub(super) fn everything<M: Message, F: Factor<M>>(
@@ -156,14 +157,14 @@ pub(super) fn everything<M: Message, F: Factor<M>>(
     if M::ALWAYS_DIVIDES && !engine.flood.parallel && !any_guess {
         return interleaved(engine, topology);
     }
-    let Engine { graph, options, state, belief_forms, flood, .. } = engine;
+    let Engine { graph, options, state, forms, flood, .. } = engine;
     let mut messages = std::mem::take(&mut state.messages);
     if any_guess || (options.outgoing == Outgoing::Extrinsic && !M::ALWAYS_DIVIDES) {
         // Dividing needs beliefs that are products; extrinsic products read the messages as they stood.
         state.messages = std::mem::take(&mut flood.previous);
         state.messages.clone_from(&messages);
     }
-    let shared = Shared { graph, topology, options, state, previous: &[], belief_forms };
+    let shared = Shared { graph, topology, options, state, previous: &[], forms };
     visit_factors(&shared, &state.beliefs, &mut flood.runs, &mut messages, 0, any_guess, flood.parallel);
     flood.previous = std::mem::replace(&mut state.messages, messages);
     for run in &mut flood.runs {
@@ -172,7 +173,7 @@ pub(super) fn everything<M: Message, F: Factor<M>>(
     state.sent.fill(true);
     let (mut beliefs, mut guessed) = (std::mem::take(&mut state.beliefs), std::mem::take(&mut state.guessed));
     let previous = &flood.previous;
-    let shared = Shared { graph, topology, options, state, previous, belief_forms };
+    let shared = Shared { graph, topology, options, state, previous, forms };
     visit_variables(&shared, &mut flood.variables, &mut beliefs, &mut guessed, 0, flood.parallel);
     (state.beliefs, state.guessed) = (beliefs, guessed);
     let mut largest: f64 = 0.0;
@@ -187,10 +188,10 @@ fn interleaved<M: Message, F: Factor<M>>(
     engine: &mut Engine<'_, M, F>,
     topology: &Topology,
 ) -> Result<f64, GraphError> {
-    let Engine { graph, options, state, belief_forms, flood, exchange: [previous, _], .. } = engine;
+    let Engine { graph, options, state, forms, flood, exchange: [previous, _], .. } = engine;
     let mut messages = std::mem::take(&mut state.messages);
     let mut beliefs = std::mem::take(&mut state.beliefs);
-    let shared = Shared { graph, topology, options, state, previous: &[], belief_forms };
+    let shared = Shared { graph, topology, options, state, previous: &[], forms };
     let mut largest: f64 = 0.0;
     let outcome = flood.done.strides(topology.factor_count()).try_for_each(|(factors, variables)| {
         send(&shared, &beliefs, factors, &mut flood.scratch, &mut messages, 0, false)?;
@@ -292,7 +293,7 @@ fn answer<M: Message, F: Factor<M>>(
     let Shared { graph, topology, options, state, .. } = *shared;
     let Scratch { inputs, output } = scratch;
     let mut first = topology.first_edge(factors.start);
-    let mut rest = (messages, &graph.edge_form[first..], &inputs[..]);
+    let mut rest = (messages, &shared.forms.edges[first..], &inputs[..]);
     let rules = graph.factors[factors.clone()].iter();
     let variables = topology.raw_variables_of_factors(factors.clone());
     for ((factor, rule), variables) in factors.zip(rules).zip(variables) {
@@ -361,9 +362,9 @@ fn without<M: Message, F: Factor<M>>(
     edge: usize,
     out: &mut M,
 ) -> Result<(), GraphError> {
-    let Shared { graph, topology, options, state, belief_forms, .. } = *shared;
+    let Shared { graph, topology, options, state, forms, .. } = *shared;
     let mut stream = Stream::new(options.seed, state.iteration, Purpose::Extrinsic, edge as u64);
-    extrinsic(topology, state, &belief_forms[variable], variable, edge, &mut stream, out)
+    extrinsic(topology, state, &forms.beliefs[variable], variable, edge, &mut stream, out)
         .map_err(|source| product_error(graph, variable, state.iteration, source))
 }
 
@@ -422,14 +423,14 @@ fn gather<M: Message, F: Factor<M>>(
     guess: &mut bool,
     largest: &mut f64,
 ) -> Result<(), GraphError> {
-    let Shared { graph, topology, options, state, belief_forms, .. } = *shared;
+    let Shared { graph, topology, options, state, forms, .. } = *shared;
     let edges = topology.raw_edges_of_variable(variable);
     let incoming = Messages::new(messages, edges).with_prior(state.priors[variable].as_ref());
     if incoming.is_empty() {
         return Ok(());
     }
     let mut stream = Stream::new(options.seed, state.iteration, Purpose::Belief, variable as u64);
-    let form = &belief_forms[variable];
+    let form = &forms.beliefs[variable];
     let outcome = if *guess {
         // Whatever replaces a guess is news; while nothing does, the messages tell whether they still move.
         replace_guess(incoming, form, &mut stream, belief, guess).map(|()| {

@@ -1,6 +1,9 @@
 //! One edge at a time: messages computed together or in order, and the beliefs that follow them.
 
-use super::{Engine, FEW_MESSAGES, HUB_EDGES, Options, Outgoing, PARALLEL_EDGES, Scratch, State};
+use super::forms::Forms;
+use super::{
+    Engine, FEW_MESSAGES, HUB_EDGES, Options, Outgoing, PARALLEL_BELIEFS, PARALLEL_EDGES, Scratch, State,
+};
 use crate::{
     EdgeId, Factor, FactorGraph, FactorId, GraphError, Incoming, Message, MessageError, Messages, Pass,
     Purpose, Stream, Topology, VariableId,
@@ -13,23 +16,53 @@ pub(super) fn refresh<M: Message, F: Factor<M>>(
     topology: &Topology,
     options: &Options,
     state: &mut State<M>,
-    belief_forms: &[M::Form],
+    forms: &Forms<M>,
     variable: usize,
 ) -> Result<(), GraphError> {
     let State { iteration, messages, beliefs, priors, guessed, .. } = state;
-    let edges = topology.raw_edges_of_variable(variable);
-    let incoming = Messages::new(messages, edges).with_prior(priors[variable].as_ref());
+    let evidence = Evidence { messages, prior: priors[variable].as_ref(), iteration: *iteration };
+    renew(
+        graph,
+        topology,
+        options,
+        forms,
+        evidence,
+        variable,
+        (&mut beliefs[variable], &mut guessed[variable]),
+    )
+}
+
+/// What a belief is the product of.
+struct Evidence<'a, M> {
+    messages: &'a [M],
+    prior: Option<&'a M>,
+    iteration: u64,
+}
+
+/// The product of the messages into `variable`, into a belief that is as it was, and whether a start still stands in
+/// for it.
+fn renew<M: Message, F: Factor<M>>(
+    graph: &FactorGraph<M, F>,
+    topology: &Topology,
+    options: &Options,
+    forms: &Forms<M>,
+    evidence: Evidence<'_, M>,
+    variable: usize,
+    (belief, guessed): (&mut M, &mut bool),
+) -> Result<(), GraphError> {
+    let Evidence { messages, prior, iteration } = evidence;
+    let incoming = Messages::new(messages, topology.raw_edges_of_variable(variable)).with_prior(prior);
     if incoming.is_empty() {
         return Ok(());
     }
-    let mut stream = Stream::new(options.seed, *iteration, Purpose::Belief, variable as u64);
-    let (form, belief) = (&belief_forms[variable], &mut beliefs[variable]);
-    let outcome = if guessed[variable] {
-        replace_guess(incoming, form, &mut stream, belief, &mut guessed[variable])
+    let mut stream = Stream::new(options.seed, iteration, Purpose::Belief, variable as u64);
+    let form = &forms.beliefs[variable];
+    let outcome = if *guessed {
+        replace_guess(incoming, form, &mut stream, belief, guessed)
     } else {
         M::product_into(incoming, form, &mut stream, belief)
     };
-    outcome.map_err(|source| product_error(graph, variable, *iteration, source))
+    outcome.map_err(|source| product_error(graph, variable, iteration, source))
 }
 
 /// The product of `incoming`; the start keeps standing in for a belief that is not yet a distribution.
@@ -80,8 +113,8 @@ pub(super) struct Run<'e, 'g, M: Message, F> {
 
 impl<M: Message, F: Factor<M>> Run<'_, '_, M, F> {
     fn refresh(&mut self, variable: usize) -> Result<(), GraphError> {
-        let Engine { graph, state, belief_forms, options, .. } = &mut *self.engine;
-        refresh(graph, self.topology, options, state, belief_forms, variable)
+        let Engine { graph, state, forms, options, .. } = &mut *self.engine;
+        refresh(graph, self.topology, options, state, forms, variable)
     }
 }
 
@@ -91,7 +124,7 @@ fn compute<M: Message, F: Factor<M>>(
     topology: &Topology,
     options: &Options,
     state: &State<M>,
-    belief_forms: &[M::Form],
+    forms: &Forms<M>,
     scratch: &mut Scratch<M>,
     edge: EdgeId,
 ) -> Result<f64, GraphError> {
@@ -110,12 +143,12 @@ fn compute<M: Message, F: Factor<M>>(
             continue;
         }
         let mut stream = Stream::new(options.seed, iteration, Purpose::Extrinsic, into as u64);
-        extrinsic(topology, state, &belief_forms[variable], variable, into, &mut stream, input)
+        extrinsic(topology, state, &forms.beliefs[variable], variable, into, &mut stream, input)
             .map_err(|source| product_error(graph, variable, iteration, source))?;
     }
     let incoming = Incoming::trusted(&scratch.inputs, &state.beliefs, variables);
     let mut stream = Stream::new(options.seed, iteration, Purpose::Message, edge.index() as u64);
-    let (to, form) = (edge.index() - first, &graph.edge_form[edge.index()]);
+    let (to, form) = (edge.index() - first, &forms.edges[edge.index()]);
     let rule = &graph.factors[factor.index()];
     rule.message_into(to, &incoming, form, &mut stream, &mut scratch.output)
         .map_err(|source| rule_error(graph, factor, edge.index(), iteration, source))?;
@@ -181,7 +214,7 @@ impl<M: Message, F: Factor<M>> Pass for Run<'_, '_, M, F> {
     }
 
     fn together(&mut self, edges: &[EdgeId]) -> Result<f64, GraphError> {
-        let Engine { graph, options, state, belief_forms, scratch, pending, touched, .. } = &mut *self.engine;
+        let Engine { graph, options, state, forms, scratch, pending, touched, .. } = &mut *self.engine;
         let topology = self.topology;
         if pending.len() < edges.len() {
             pending.resize(edges.len(), scratch.output.clone());
@@ -195,7 +228,7 @@ impl<M: Message, F: Factor<M>> Pass for Run<'_, '_, M, F> {
                 .map_init(
                     || scratch.clone(),
                     |scratch, (&edge, slot)| {
-                        let change = compute(graph, topology, options, state, belief_forms, scratch, edge)?;
+                        let change = compute(graph, topology, options, state, forms, scratch, edge)?;
                         std::mem::swap(slot, &mut scratch.output);
                         Ok(change)
                     },
@@ -206,7 +239,7 @@ impl<M: Message, F: Factor<M>> Pass for Run<'_, '_, M, F> {
             }
         } else {
             for (&edge, slot) in edges.iter().zip(pending.iter_mut()) {
-                largest = largest.max(compute(graph, topology, options, state, belief_forms, scratch, edge)?);
+                largest = largest.max(compute(graph, topology, options, state, forms, scratch, edge)?);
                 std::mem::swap(slot, &mut scratch.output);
             }
         }
@@ -218,6 +251,10 @@ impl<M: Message, F: Factor<M>> Pass for Run<'_, '_, M, F> {
         }
         touched.sort_unstable();
         touched.dedup();
+        if self.engine.options.parallel && self.engine.touched.len() >= PARALLEL_BELIEFS {
+            self.refresh_touched()?;
+            return Ok(largest);
+        }
         for index in 0..self.engine.touched.len() {
             self.refresh(self.engine.touched[index] as usize)?;
         }
@@ -228,9 +265,8 @@ impl<M: Message, F: Factor<M>> Pass for Run<'_, '_, M, F> {
         let mut largest: f64 = 0.0;
         self.engine.touched.clear();
         for &edge in edges {
-            let Engine { graph, options, state, belief_forms, scratch, .. } = &mut *self.engine;
-            largest =
-                largest.max(compute(graph, self.topology, options, state, belief_forms, scratch, edge)?);
+            let Engine { graph, options, state, forms, scratch, .. } = &mut *self.engine;
+            largest = largest.max(compute(graph, self.topology, options, state, forms, scratch, edge)?);
             std::mem::swap(&mut state.messages[edge.index()], &mut scratch.output);
             state.sent[edge.index()] = true;
             let variable = self.topology.variable_of(edge).index();
@@ -250,10 +286,43 @@ impl<M: Message, F: Factor<M>> Pass for Run<'_, '_, M, F> {
 }
 
 impl<M: Message, F: Factor<M>> Run<'_, '_, M, F> {
+    /// Brings the beliefs of all touched variables up to date, each on whichever thread is free.
+    fn refresh_touched(&mut self) -> Result<(), GraphError> {
+        let Engine { graph, options, state, forms, scratch, pending, touched, .. } = &mut *self.engine;
+        let (touched, topology) = (touched.as_slice(), self.topology);
+        if pending.len() < touched.len() {
+            pending.resize(touched.len(), scratch.output.clone());
+        }
+        let State { iteration, messages, beliefs, priors, guessed, .. } = state;
+        for (slot, &variable) in pending.iter_mut().zip(touched) {
+            std::mem::swap(slot, &mut beliefs[variable as usize]);
+        }
+        let (messages, priors, before) = (messages.as_slice(), priors.as_slice(), guessed.as_slice());
+        let outcomes: Vec<Result<bool, GraphError>> = touched
+            .par_iter()
+            .zip(pending.par_iter_mut())
+            .map(|(&variable, belief)| {
+                let variable = variable as usize;
+                let mut guessed = before[variable];
+                let prior = priors[variable].as_ref();
+                let evidence = Evidence { messages, prior, iteration: *iteration };
+                renew(graph, topology, options, forms, evidence, variable, (belief, &mut guessed))?;
+                Ok(guessed)
+            })
+            .collect();
+        for (slot, &variable) in pending.iter_mut().zip(touched) {
+            std::mem::swap(slot, &mut beliefs[variable as usize]);
+        }
+        for (outcome, &variable) in outcomes.into_iter().zip(touched) {
+            guessed[variable as usize] = outcome?;
+        }
+        Ok(())
+    }
+
     /// Replaces one message, of which the old one is in the scratch, in the belief of a variable with many edges;
     /// false where the belief must be computed anew.
     fn replace_in_hub(&mut self, edge: EdgeId, variable: usize) -> Result<bool, GraphError> {
-        let Engine { graph, options, state, belief_forms, scratch, exchange, .. } = &mut *self.engine;
+        let Engine { graph, options, state, forms, scratch, exchange, .. } = &mut *self.engine;
         let edges = self.topology.raw_edges_of_variable(variable);
         if !M::ALWAYS_DIVIDES || edges.len() < HUB_EDGES || state.guessed[variable] {
             return Ok(false);
@@ -265,7 +334,7 @@ impl<M: Message, F: Factor<M>> Run<'_, '_, M, F> {
         exchange[1].clone_from(&state.messages[edge.index()]);
         let mut stream = Stream::new(options.seed, state.iteration, Purpose::Belief, variable as u64);
         let pair = Messages::new(&exchange[..], &[0, 1]);
-        M::product_into(pair, &belief_forms[variable], &mut stream, belief)
+        M::product_into(pair, &forms.beliefs[variable], &mut stream, belief)
             .map_err(|source| product_error(graph, variable, state.iteration, source))?;
         Ok(true)
     }

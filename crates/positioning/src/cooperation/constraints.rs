@@ -122,7 +122,8 @@ fn free_directions(component: &Component, world: &World, draw: &Draw) -> usize {
     eigenvalues.iter().filter(|&&value| value <= threshold).count()
 }
 
-fn names(agents: &[usize]) -> String {
+/// Agents by number, the first few of many.
+pub(crate) fn names(agents: &[usize]) -> String {
     let numbers: Vec<String> = agents.iter().map(|agent| (agent + 1).to_string()).collect();
     match numbers.as_slice() {
         [only] => format!("agent {only}"),

@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 
 /// Points that can be asked for those near a place.
-pub(super) struct Reach<'a> {
+pub(crate) struct Reach<'a> {
     points: &'a [[f64; 2]],
     radius: f64,
     /// Points by cell, ascending; empty where there is no radius.
@@ -12,7 +12,7 @@ pub(super) struct Reach<'a> {
 
 impl<'a> Reach<'a> {
     /// Points in reach of each other up to `radius`, all without one.
-    pub(super) fn new(points: &'a [[f64; 2]], radius: Option<f64>) -> Self {
+    pub(crate) fn new(points: &'a [[f64; 2]], radius: Option<f64>) -> Self {
         let mut cells: HashMap<[i64; 2], Vec<u32>> = HashMap::new();
         if let Some(radius) = radius {
             for (index, &point) in points.iter().enumerate() {
@@ -23,7 +23,7 @@ impl<'a> Reach<'a> {
     }
 
     /// Indices and distances of the points within reach of `place`, ascending by index.
-    pub(super) fn within(&self, place: [f64; 2]) -> impl Iterator<Item = (usize, f64)> {
+    pub(crate) fn within(&self, place: [f64; 2]) -> impl Iterator<Item = (usize, f64)> {
         let mut near: Vec<u32> = Vec::new();
         if self.radius.is_finite() {
             let [column, row] = cell(place, self.radius);

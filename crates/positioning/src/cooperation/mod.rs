@@ -18,7 +18,7 @@ mod bound;
 mod constraints;
 mod geometry;
 mod joint;
-mod links;
+pub(crate) mod links;
 mod method;
 mod network;
 mod plug_in;
@@ -34,6 +34,7 @@ use sumprod_graph::{Factor, FactorGraph, GraphError, Options};
 use sumprod_messages::{AnyForm, AnyMessage};
 
 pub use bound::bound;
+pub(crate) use constraints::names;
 pub use joint::JointFilter;
 pub use method::{Forms, Method};
 pub use network::{Neighbours, NetworkFilter, Plan};
