@@ -6,7 +6,7 @@
 //! between modes, and as a Gaussian afterwards ([`sumprod_graph::Engine::set_edge_form`]).
 //!
 //! What the family leaves out: a belief keeps its cells, and a product of messages is taken on them. A place that a
-//! belief has given up (its share fell below e⁻¹⁸, or it was not among the `most` likely cells) does not return.
+//! belief has given up (its share fell below e⁻⁴⁰, or it was not among the `most` likely cells) does not return.
 
 mod cells;
 mod family;

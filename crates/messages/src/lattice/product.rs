@@ -6,7 +6,7 @@ use std::sync::Arc;
 use sumprod_graph::{Message, MessageError, Messages};
 
 /// Cells of a belief this far (nats) below its highest are given up.
-const GIVEN_UP: f64 = -18.0;
+const GIVEN_UP: f64 = -40.0;
 
 /// The product in Gaussian form; lattices are read by their moments, at the divergence that costs.
 pub(super) fn gaussian(

@@ -19,7 +19,7 @@ use sumprod_messages::{Cell, GaussianFamily, LatticeForm, LatticeMessage};
 
 /// Likelihood, as a share of its peak, below which a message does not fall: a neighbour that has settled on a wrong
 /// place cannot rule out the right one.
-const FLOOR: f64 = 1e-6;
+const FLOOR: f64 = 1e-10;
 /// Standard deviations up to which a ring reaches.
 const RING: f64 = 5.0;
 /// Width of a Gaussian sender, in parts of the range, up to which its ring is one.

@@ -11,6 +11,9 @@ use crate::form::at_least_one;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Method {
+    /// Variance of each axis of the weak start as evidence (m²).
+    #[serde(default = "weak")]
+    pub start_variance: f64,
     /// Widths of the cells that messages are held on, one after the other (m), each a whole part of the one before.
     /// Without any all messages are Gaussian from the start.
     #[serde(default)]
@@ -30,6 +33,11 @@ pub struct Method {
     /// Share of the old message kept in the Gaussian rounds.
     #[serde(default)]
     pub damping: f64,
+}
+
+/// A start known to 100 m, which says next to nothing and holds whoever measures nobody.
+fn weak() -> f64 {
+    1e4
 }
 
 fn two_hundred() -> usize {
@@ -70,6 +78,10 @@ impl Method {
         let wrong = |name: &str, problem: String| {
             Err(PositioningError::setting(format!("method.{id}.{name}"), problem))
         };
+        if !(self.start_variance > 0.0 && self.start_variance.is_finite()) {
+            let problem = format!("is {} m²; a variance must be positive and finite", self.start_variance);
+            return wrong("start_variance", problem);
+        }
         at_least_one(&format!("method.{id}.components"), self.components, "cell")?;
         if self.cells.len() != self.rounds.len() {
             let (cells, rounds) = (self.cells.len(), self.rounds.len());

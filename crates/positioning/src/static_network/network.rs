@@ -26,7 +26,7 @@ pub(super) fn graph(
 ) -> Result<FactorGraph<LatticeMessage>, GraphError> {
     let mut graph: FactorGraph<LatticeMessage> = FactorGraph::new();
     let plane = Space::real(2);
-    let spread = Matrix2::identity() * draw.start_variance;
+    let spread = Matrix2::identity() * method.start_variance;
     let mut agents = Vec::with_capacity(draw.start.len());
     for (agent, &start) in draw.start.iter().enumerate() {
         let variable = graph.variable(format!("agent {}", agent + 1), plane.clone())?;

@@ -4,6 +4,12 @@ use crate::cooperation::links::Reach;
 
 use super::world::Draw;
 
+/// Links between two agents up to which their silence is heard.
+const AGENT_LINKS: usize = 3;
+/// Links between an agent and an anchor up to which its silence is heard: anchors are few and know where they are, so
+/// that they speak against a whole corner of a network folded inwards.
+const ANCHOR_LINKS: usize = 4;
+
 /// Pairs between which there is no range.
 pub(super) struct Silent {
     /// Two agents, the smaller index first.
@@ -12,12 +18,48 @@ pub(super) struct Silent {
     pub(super) anchors: Vec<[usize; 2]>,
 }
 
-/// The silent pairs within two links of each other: whoever is farther away through the network is farther than two
-/// reaches in truth or hidden behind a gap, and its silence says little. Anchors know their places, so those in reach of
-/// each other count as linked.
+/// The silent pairs that are few links from each other: by n links nobody is farther away than n times the reach, and
+/// the fewer they are, the nearer a wrong place may bring the two. Anchors know their places, so those in reach of each
+/// other count as linked.
 ///
-/// Costs the sum over nodes of their number of links squared.
+/// Costs the sum over agents of the links of the nodes within four links.
 pub(super) fn silent(draw: &Draw, radius: f64) -> Silent {
+    let agents = draw.truth.len();
+    let links = links(draw, radius);
+    let mut silent = Silent { agents: Vec::new(), anchors: Vec::new() };
+    // Who last met each node.
+    let mut met = vec![usize::MAX; links.len()];
+    let mut found: Vec<usize> = Vec::new();
+    for agent in 0..agents {
+        met[agent] = agent;
+        found.clear();
+        found.push(agent);
+        // The nodes at each number of links, one after the other in `found`.
+        let mut first = 0;
+        for distance in 1..=ANCHOR_LINKS {
+            let last = found.len();
+            for place in first..last {
+                for &far in &links[found[place]] {
+                    if std::mem::replace(&mut met[far], agent) == agent {
+                        continue;
+                    }
+                    found.push(far);
+                    match far.checked_sub(agents) {
+                        _ if distance == 1 => {}
+                        Some(anchor) => silent.anchors.push([agent, anchor]),
+                        None if far > agent && distance <= AGENT_LINKS => silent.agents.push([agent, far]),
+                        None => {}
+                    }
+                }
+            }
+            first = last;
+        }
+    }
+    silent
+}
+
+/// Whom each agent, and then each anchor, is linked to.
+fn links(draw: &Draw, radius: f64) -> Vec<Vec<usize>> {
     let agents = draw.truth.len();
     let mut links: Vec<Vec<usize>> = vec![Vec::new(); agents + draw.anchors.len()];
     let mut link = |a: usize, b: usize| {
@@ -36,28 +78,5 @@ pub(super) fn silent(draw: &Draw, radius: f64) -> Silent {
             link(agents + anchor, agents + other);
         }
     }
-    let mut silent = Silent { agents: Vec::new(), anchors: Vec::new() };
-    // Who last met each node.
-    let mut met = vec![usize::MAX; links.len()];
-    let mut found = Vec::new();
-    for agent in 0..agents {
-        met[agent] = agent;
-        links[agent].iter().for_each(|&near| met[near] = agent);
-        found.clear();
-        for &far in links[agent].iter().flat_map(|&near| &links[near]) {
-            if met[far] != agent {
-                met[far] = agent;
-                found.push(far);
-            }
-        }
-        found.sort_unstable();
-        for &far in &found {
-            match far.checked_sub(agents) {
-                Some(anchor) => silent.anchors.push([agent, anchor]),
-                None if far > agent => silent.agents.push([agent, far]),
-                None => {}
-            }
-        }
-    }
-    silent
+    links
 }

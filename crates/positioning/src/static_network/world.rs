@@ -33,17 +33,12 @@ pub struct World {
     /// often, or for reasons that distance does not explain, set it to false.
     #[serde(default = "yes")]
     pub silence: bool,
-    /// Variance of each axis of the weak start (m²); without it the smaller of 225 and the square's own, side²/12.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub start_variance: Option<f64>,
 }
 
 fn yes() -> bool {
     true
 }
 
-/// Standard deviation of the weak start (m) in networks of any size worth the name.
-const START_DEVIATION: f64 = 15.0;
 /// Area of the square for each agent (m²).
 const AREA: f64 = 100.0;
 /// Standard deviation of the noise on the start's mean (m).
@@ -64,8 +59,6 @@ pub struct Draw {
     pub anchor_ranges: Vec<AnchorRanging>,
     /// The weak start (m).
     pub start: Vec<[f64; 2]>,
-    /// Its variance along each axis (m²).
-    pub start_variance: f64,
 }
 
 /// Entities of the streams.
@@ -85,7 +78,6 @@ impl World {
         for (key, value, unit) in [
             ("radius", self.radius, "m; a radius"),
             ("range_variance", self.range_variance, "m²; a variance"),
-            ("start_variance", self.start_variance.unwrap_or(1.0), "m²; a variance"),
         ] {
             if !(value > 0.0 && value.is_finite()) {
                 let problem = format!("is {value} {unit} must be positive and finite");
@@ -135,8 +127,7 @@ impl World {
             .collect();
         let (ranges, anchor_ranges) = self.measure(&truth, &anchors, &[stream(HEARS), stream(HEARS_ANCHORS)]);
         let start = starts(self.agents, side, &anchors, &ranges, &anchor_ranges, &stream(STARTS));
-        let start_variance = self.start_variance.unwrap_or((side * side / 12.0).min(START_DEVIATION.powi(2)));
-        Ok(Draw { truth, anchors, ranges, anchor_ranges, start, start_variance })
+        Ok(Draw { truth, anchors, ranges, anchor_ranges, start })
     }
 
     fn anchors(&self, random: &mut Stream) -> Result<Vec<[f64; 2]>, PositioningError> {
@@ -257,7 +248,6 @@ mod tests {
             range_variance: 0.25,
             link_loss: 0.0,
             silence: true,
-            start_variance: None,
         }
     }
 
@@ -269,7 +259,6 @@ mod tests {
         assert_ne!(draw.truth, world.draw(1, 4).unwrap().truth);
         assert_ne!(draw.anchors, world.draw(2, 3).unwrap().anchors);
         assert_eq!((draw.truth.len(), draw.anchors.len()), (100, 13));
-        assert_eq!(draw.start_variance, 225.0);
     }
 
     #[test]
@@ -313,7 +302,6 @@ mod tests {
             (World { range_variance: 0.0, ..good.clone() }, "`world.range_variance` is 0 m²"),
             (World { link_loss: 1.0, ..good.clone() }, "`world.link_loss` is 1"),
             (World { anchors_per_100: f64::NAN, ..good.clone() }, "`world.anchors_per_100` is NaN"),
-            (World { start_variance: Some(f64::INFINITY), ..good.clone() }, "`world.start_variance` is inf"),
         ] {
             let message = world.validate().unwrap_err().to_string();
             assert!(message.contains(part), "{message}");
