@@ -72,3 +72,23 @@ fn every_network_is_described() {
         assert!(text.starts_with("joint (the start and the first slice): 2 variables, 2 factors"), "{text}");
     }
 }
+
+#[test]
+fn a_static_network_says_what_is_wrong_with_it() {
+    for (set, part) in [
+        (
+            "world.anchors_per_100=0",
+            "nothing constrains the translation (2 directions) and rotation (1) of agents 1, 2",
+        ),
+        ("world.agents=0", "`world.agents` is 0"),
+        ("world.radius=-1", "`world.radius` is -1 m"),
+        ("world.link_loss=2", "`world.link_loss` is 2"),
+        ("method.nbp.cells=[4.0, 3.0]", "`method.nbp.cells` holds 3 m after 4 m"),
+        ("method.nbp.cells=[4.0]", "`method.nbp.rounds` holds 2 numbers for 1 widths"),
+        ("method.nbp.components=0", "`method.nbp.components` is 0"),
+        ("method.nbp.cell=[4.0]", "did you mean `method.nbp.cells`?"),
+    ] {
+        let message = refused(&["run", "coop-static", "--set", set]);
+        assert!(message.contains(part), "{set}: {message}");
+    }
+}

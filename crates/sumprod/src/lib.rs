@@ -37,7 +37,7 @@ pub use sumprod_positioning as positioning;
 pub mod prelude {
     pub use sumprod_filters::{Correct, Filter, Kalman, ParticleFilter, Predict, Smooth};
     pub use sumprod_graph::schedule::{
-        Flooding, ForwardBackward, Residual as ResidualSchedule, Sequential, Sliced,
+        Coloured, Flooding, ForwardBackward, Residual as ResidualSchedule, Sequential, Sliced,
     };
     pub use sumprod_graph::{
         Coordinate, EdgeId, Engine, Factor, FactorGraph, FactorId, GraphError, Incoming, Message,

@@ -6,6 +6,7 @@ mod bell;
 mod building;
 mod checkpoint;
 mod engine;
+mod forms;
 mod order;
 mod reproducible;
 mod schedules;

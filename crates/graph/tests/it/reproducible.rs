@@ -2,7 +2,7 @@
 
 use crate::bell::{Behaviour, Bell, Graph, Linear, grid, variables};
 use rayon::ThreadPoolBuilder;
-use sumprod_graph::schedule::{Flooding, Residual, Sequential, Sliced};
+use sumprod_graph::schedule::{Coloured, Flooding, Residual, Sequential, Sliced};
 use sumprod_graph::{Engine, GraphError, Options, Report, Schedule};
 
 /// Beliefs and report of a fixed number of iterations in a pool of `threads`.
@@ -29,8 +29,9 @@ fn threads_do_not_show_in_the_answer() {
         graph.set_time(variable, (variable.index() / 400) as f64).unwrap();
     }
     type Make = fn() -> Box<dyn Schedule + Send>;
-    let schedules: [Make; 4] = [
+    let schedules: [Make; 5] = [
         || Box::new(Flooding),
+        || Box::new(Coloured::new()),
         || Box::new(Sliced::new(2).smoothing()),
         || Box::new(Sequential::default()),
         || Box::new(Residual::default()),

@@ -3,7 +3,7 @@
 use crate::bell::{Behaviour, Bell, Graph, Linear, assert_close, beliefs, chain, grid, variables};
 use proptest::prelude::*;
 use std::sync::Arc;
-use sumprod_graph::schedule::{Flooding, ForwardBackward, Residual, Sequential, Sliced};
+use sumprod_graph::schedule::{Coloured, Flooding, ForwardBackward, Residual, Sequential, Sliced};
 use sumprod_graph::{Engine, FactorGraph, GraphError, Options, Schedule, Space, Stop};
 
 fn tight() -> Options {
@@ -73,6 +73,7 @@ fn all_schedules_reach_one_fixed_point() {
     let reference = beliefs(&graph, tight(), &mut Flooding);
     assert_close(&beliefs(&graph, tight(), &mut Sequential::default()), &reference, 1e-10);
     assert_close(&beliefs(&graph, tight(), &mut Residual::default()), &reference, 1e-10);
+    assert_close(&beliefs(&graph, tight(), &mut Coloured::new()), &reference, 1e-10);
 }
 
 #[test]
@@ -83,6 +84,7 @@ fn damping_changes_the_way_and_not_the_fixed_point() {
     assert_close(&beliefs(&graph, options, &mut Flooding), &reference, 1e-9);
     assert_close(&beliefs(&graph, options, &mut Sequential::default()), &reference, 1e-9);
     assert_close(&beliefs(&graph, options, &mut Residual::default()), &reference, 1e-9);
+    assert_close(&beliefs(&graph, options, &mut Coloured::new()), &reference, 1e-9);
     // Priors that say they never change are sent once, and whole.
     let (mut graph, x) = variables::<true>(2);
     graph.factor("prior", Linear::prior(1.0, 2.0).behaving(Behaviour::Constant), &x[..1]).unwrap();
@@ -112,8 +114,8 @@ fn a_start_leaves_no_trace() {
     for variable in graph.variable_ids() {
         graph.set_start(variable, Bell::new(100.0, 1e-3)).unwrap();
     }
-    let schedules: [&mut dyn Schedule; 3] =
-        [&mut Flooding, &mut Sequential::default(), &mut Residual::default()];
+    let schedules: [&mut dyn Schedule; 4] =
+        [&mut Flooding, &mut Sequential::default(), &mut Residual::default(), &mut Coloured::new()];
     for schedule in schedules {
         assert_close(&beliefs(&graph, tight(), schedule), &reference, 1e-10);
     }
@@ -225,8 +227,8 @@ fn a_start_that_nothing_replaces_does_not_keep_a_run_going() {
     for &variable in &x {
         graph.set_start(variable, Bell::new(5.0, 1.0)).unwrap();
     }
-    let schedules: [&mut dyn Schedule; 3] =
-        [&mut Flooding, &mut Sequential::default(), &mut Residual::default()];
+    let schedules: [&mut dyn Schedule; 4] =
+        [&mut Flooding, &mut Sequential::default(), &mut Residual::default(), &mut Coloured::new()];
     for schedule in schedules {
         let report = Engine::new(&graph, tight()).unwrap().run(schedule).unwrap();
         assert_eq!(report.stop, Stop::Converged, "{report}");

@@ -6,6 +6,7 @@ mod any;
 mod checkpoint;
 mod gaussian;
 mod golden;
+mod lattice;
 mod linear;
 mod particles;
 mod reproducible;

@@ -10,6 +10,7 @@ mod golden;
 mod guided;
 mod heavy;
 mod improper;
+mod lattice;
 mod mixtures;
 mod noise;
 mod pairs;
