@@ -36,14 +36,18 @@ impl Coloured {
     }
 }
 
-/// The colour of each variable: the smallest that no variable before it shares a factor with.
-fn colour(topology: &Topology) -> Vec<usize> {
+/// The colour of each variable: the smallest that no variable before it has with which it shares a factor that sends
+/// along a wanted edge.
+fn colour(topology: &Topology, wanted: &[bool]) -> Vec<usize> {
     let mut colours: Vec<usize> = Vec::with_capacity(topology.variable_count());
     // Which variable last found a colour taken.
     let mut taken: Vec<usize> = Vec::new();
     for variable in 0..topology.variable_count() {
         for edge in topology.raw_edges_of_variable(variable) {
             let factor = topology.factor_of(EdgeId(*edge));
+            if !topology.edges_of_factor(factor).any(|edge| wanted[edge.index()]) {
+                continue;
+            }
             for &other in topology.raw_variables_of_factor(factor.index()) {
                 if let Some(&colour) = colours.get(other as usize) {
                     taken[colour] = variable;
@@ -71,7 +75,7 @@ impl Schedule for Coloured {
             *place = true;
         }
         self.colours.clear();
-        for (variable, colour) in colour(topology).into_iter().enumerate() {
+        for (variable, colour) in colour(topology, &wanted).into_iter().enumerate() {
             if self.colours.len() <= colour {
                 self.colours.resize(colour + 1, Vec::new());
             }

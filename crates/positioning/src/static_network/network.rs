@@ -113,9 +113,18 @@ impl<'g> Run<'g> {
             self.advance(Coloured::new().rounds(rounds))?;
         }
         self.engine.set_damping(method.damping)?;
+        let mut silent = vec![false; self.engine.topology().edge_count()];
+        self.edges_of(SILENCE).into_iter().for_each(|edge| silent[edge.index()] = true);
         for _ in 0..method.gaussian_rounds {
+            // Silence has nothing more to say to those who were Gaussian before.
+            let before = self.gaussian.clone();
             self.switch(method.one_mode_deviation)?;
-            self.advance(Coloured::new().rounds(1))?;
+            let topology = self.engine.topology();
+            let due = topology
+                .edges()
+                .filter(|&edge| !silent[edge.index()] || !before[topology.variable_of(edge).index()]);
+            let round = Coloured::new().among(due).rounds(1);
+            self.advance(round)?;
         }
         Ok(())
     }
