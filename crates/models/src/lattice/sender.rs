@@ -13,6 +13,10 @@ const RING_EDGE: f64 = 1e-6;
 const SEARCHED: i64 = 4_000_000;
 
 /// The other end of a range.
+#[allow(
+    clippy::large_enum_variant,
+    reason = "it lives as long as one message, for which a box would allocate"
+)]
 pub(super) enum Sender {
     /// Nothing is known of it, or too little.
     Unknown,
