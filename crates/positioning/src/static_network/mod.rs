@@ -60,7 +60,7 @@ impl StaticNetwork {
         let options = Options { seed, max_iterations: usize::MAX, ..Options::default() };
         let mut out = MethodRun::timed(id, StateLayout::planar_position(), |out| {
             let graph = network::graph(&self.world, draw, method).map_err(failed)?;
-            let mut run = Run::new(&graph, options).map_err(failed)?;
+            let mut run = Run::new(&graph, &self.world, draw, options).map_err(failed)?;
             run.complete(method).map_err(failed)?;
             report(&run, draw, out)
         })?;

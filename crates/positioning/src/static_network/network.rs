@@ -82,10 +82,20 @@ pub(super) struct Changes {
     pub(super) agents: usize,
 }
 
+/// The other end of a range.
+#[derive(Clone, Copy, Debug)]
+enum End {
+    Agent(usize),
+    Anchor([f64; 2]),
+}
+
 /// A run of one method on one network.
 pub(super) struct Run<'g> {
     engine: Engine<'g, LatticeMessage>,
     agents: Vec<VariableId>,
+    /// Whom each agent measures.
+    links: Vec<Vec<End>>,
+    range_variance: f64,
     /// Whether each agent's edges are Gaussian.
     gaussian: Vec<bool>,
     pub(super) changes: Changes,
@@ -94,11 +104,34 @@ pub(super) struct Run<'g> {
 
 impl<'g> Run<'g> {
     /// A run that has not begun.
-    pub(super) fn new(graph: &'g FactorGraph<LatticeMessage>, options: Options) -> Result<Self, GraphError> {
+    pub(super) fn new(
+        graph: &'g FactorGraph<LatticeMessage>,
+        world: &World,
+        draw: &Draw,
+        options: Options,
+    ) -> Result<Self, GraphError> {
         let agents: Vec<VariableId> = graph.variable_ids().collect();
+        let mut links = vec![Vec::new(); agents.len()];
+        for range in &draw.ranges {
+            let [a, b] = range.agents;
+            links[a].push(End::Agent(b));
+            links[b].push(End::Agent(a));
+        }
+        for range in &draw.anchor_ranges {
+            links[range.agent].push(End::Anchor(draw.anchors[range.anchor]));
+        }
+        let range_variance = world.range_variance;
         let gaussian = vec![false; agents.len()];
         let engine = Engine::new(graph, options)?;
-        Ok(Self { engine, agents, gaussian, changes: Changes::default(), iterations: 0 })
+        Ok(Self {
+            engine,
+            agents,
+            links,
+            range_variance,
+            gaussian,
+            changes: Changes::default(),
+            iterations: 0,
+        })
     }
 
     /// The whole of a method.
@@ -158,21 +191,45 @@ impl<'g> Run<'g> {
         Ok(edges.len())
     }
 
-    /// Makes the edges into agents Gaussian whose belief on a lattice is one mode.
+    /// Makes the edges into agents Gaussian whose belief on a lattice is one mode that their ranges alone would keep:
+    /// where silence has a part in it, Gaussians would forget it.
     fn switch(&mut self, deviation: f64) -> Result<(), GraphError> {
+        let most = deviation * deviation;
         for agent in 0..self.agents.len() {
             if self.gaussian[agent] {
                 continue;
             }
-            let Some(lattice) = self.engine.belief(self.agents[agent]).lattice() else { continue };
-            let (_, covariance) = lattice.moments();
-            if largest_variance(&covariance) <= deviation * deviation {
+            let Some(lattice) = self.belief(agent).lattice() else { continue };
+            let (mean, covariance) = lattice.moments();
+            if largest_variance(&covariance) <= most && self.linearised_variance(agent, mean) <= most {
                 self.gaussian[agent] = true;
                 self.changes.edges += self.hold(agent, GAUSSIAN)?;
                 self.changes.agents += 1;
             }
         }
         Ok(())
+    }
+
+    /// Variance along the worst axis (m²) that an agent's ranges leave, linearised at `mean`.
+    fn linearised_variance(&self, agent: usize, mean: Vector2<f64>) -> f64 {
+        let mut information = Matrix2::zeros();
+        for &end in &self.links[agent] {
+            let (at, covariance) = match end {
+                End::Anchor(at) => (Vector2::from(at), Matrix2::zeros()),
+                End::Agent(other) => match self.belief(other).moments() {
+                    Ok(moments) => moments,
+                    Err(_) => continue,
+                },
+            };
+            let offset = mean - at;
+            let length = offset.norm();
+            if length > 0.0 {
+                let direction = offset / length;
+                let variance = self.range_variance + direction.dot(&(covariance * direction));
+                information += direction * direction.transpose() / variance;
+            }
+        }
+        information.try_inverse().map_or(f64::INFINITY, |covariance| largest_variance(&covariance))
     }
 
     /// An agent's belief.
