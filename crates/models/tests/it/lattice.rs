@@ -39,7 +39,7 @@ struct Pair {
     measured: [f64; 4],
 }
 
-const PAIR: Pair = Pair { anchors: [[0.0, 0.0], [12.0, 0.0], [18.0, 6.0]], measured: [9.2, 10.8, 6.3, 8.4] };
+const PAIR: Pair = Pair { anchors: [[0.0, 0.0], [12.0, 0.0], [18.0, 1.5]], measured: [9.2, 10.8, 7.3, 8.0] };
 
 /// Agent 0's share of weight north of the anchors' line, and the means of both agents, by enumeration over points.
 fn enumerated(silent: Option<([f64; 2], f64)>) -> (f64, [[f64; 2]; 2]) {
@@ -104,9 +104,11 @@ fn on_lattice(silent: Option<([f64; 2], f64)>) -> (f64, [[f64; 2]; 2]) {
 fn two_agents_have_the_enumerated_posterior() {
     for silent in [None, Some(([6.0, -16.0], 10.5))] {
         let (expected, found) = (enumerated(silent), on_lattice(silent));
-        assert!((expected.0 - found.0).abs() < 0.05, "north {} {}", expected.0, found.0);
+        let shift = (expected.0 - found.0).abs();
+        assert!(shift < 0.05, "north {} {}", expected.0, found.0);
         for (expected, found) in expected.1.into_iter().zip(found.1) {
-            assert!(distance(expected, found) < 0.6, "{expected:?} {found:?}");
+            // A share of weight that moves from one image to the other takes the mean along.
+            assert!(distance(expected, found) < 0.3 + 16.0 * shift, "{expected:?} {found:?}");
         }
         match silent {
             None => assert!(expected.0 > 0.05 && expected.0 < 0.95, "both images matter: {}", expected.0),
