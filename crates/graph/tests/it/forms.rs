@@ -40,7 +40,7 @@ fn graph() -> (FactorGraph<Bell, Formed>, [EdgeId; 2]) {
 fn a_message_in_a_new_form_is_sent_whole_and_others_are_damped() {
     let (graph, [changed, kept]) = graph();
     for coloured in [true, false] {
-        let mut run = |engine: &mut Engine<'_, Bell, Formed>| match coloured {
+        let run = |engine: &mut Engine<'_, Bell, Formed>| match coloured {
             true => engine.run(&mut Coloured::new().rounds(1)).unwrap(),
             false => engine.run(&mut Flooding).unwrap(),
         };
