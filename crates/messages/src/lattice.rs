@@ -257,6 +257,6 @@ impl Message for LatticeMessage {
 
     fn quality(&self) -> Quality {
         let effective_sample_size = self.lattice().map(Lattice::effective_cells);
-        Quality { effective_sample_size, conversion_loss: self.loss }
+        Quality { effective_sample_size, conversion_loss: self.loss, ..Quality::default() }
     }
 }
