@@ -13,8 +13,10 @@
 //! | [`markov`] | Metropolis-Hastings chains: random walk, independence |
 //! | [`quantum`] | the quantum genetic algorithm: literal, importance-corrected, Metropolis-Hastings |
 //! | [`frame`] | standard coordinates of a cloud, and the kernel that smooths it |
+//! | [`board`] | the knowledge-board co-operative swarm, as published and as a proposal |
 //! | [`error`] | the crate's error |
 
+pub mod board;
 mod chains;
 pub mod error;
 pub mod frame;
@@ -33,6 +35,7 @@ pub mod target;
 pub mod trigger;
 pub mod weigh;
 
+pub use board::{Board, BoardForm, BoardSettings, Knowledge, KnowledgeBoard, LifeState, Search};
 pub use error::OptimizerError;
 pub use frame::{CloudKernel, Frame};
 pub use markov::{Independence, RandomWalk};

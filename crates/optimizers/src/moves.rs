@@ -19,6 +19,8 @@
 //! | [`QuantumLiteral`](crate::QuantumLiteral) | the best of several strings of bits | 1 + generations | no |
 //! | [`QuantumImportance`](crate::QuantumImportance) | strings of bits, weighed by their probability | generations | smoothed |
 //! | [`QuantumMetropolis`](crate::QuantumMetropolis) | Markov chain steps that propose strings of bits | 1 + generations | as the Markov chains |
+//! | [`KnowledgeBoard`](crate::KnowledgeBoard) | from a proposal that a swarm shapes in T iterations | at most T + 2 | yes |
+//! | the same, literal | the swarm's points are weighed | at most T + 1 | no |
 
 use sumprod_graph::{FastStream, Stream};
 use sumprod_messages::Particles;
@@ -34,6 +36,9 @@ pub enum Validity {
     Exact,
     /// Of the target with the prior's density smoothed by a kernel, whose width vanishes as the sample grows.
     Smoothed,
+    /// Of the target itself where the prior's density is known, else of the target with the prior replaced by a sum
+    /// of Gaussians that has its mean and covariance.
+    GaussianSum,
     /// Of no known distribution: what a paper prints.
     Literal,
 }
