@@ -51,6 +51,11 @@ impl StateLayout {
         self.names.len()
     }
 
+    /// The components that errors and intervals are judged on: the position's axes, else all of them.
+    pub fn scored(&self) -> Vec<usize> {
+        if self.position.is_empty() { (0..self.dimension()).collect() } else { self.position.clone() }
+    }
+
     /// Largest index used by any role, plus one.
     fn reach(&self) -> usize {
         self.position.iter().chain(&self.velocity).chain(&self.angular).map(|&i| i + 1).max().unwrap_or(0)
@@ -170,6 +175,9 @@ pub struct MethodRun {
     truth: Vec<f64>,
     mean: Vec<f64>,
     covariance: Vec<f64>,
+    /// Low and high end of each scored component, estimate by estimate; empty where there are none.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    intervals: Vec<[f64; 2]>,
 }
 
 impl MethodRun {
@@ -189,6 +197,7 @@ impl MethodRun {
             truth: Vec::new(),
             mean: Vec::new(),
             covariance: Vec::new(),
+            intervals: Vec::new(),
         }
     }
 
@@ -239,6 +248,42 @@ impl MethodRun {
                 self.covariance.push(0.5 * (covariance[i * d + j] + covariance[j * d + i]));
             }
         }
+        Ok(())
+    }
+
+    /// As [`push`](Self::push), with the central 95 % interval of each of the layout's
+    /// [scored](StateLayout::scored) components, low and high end. Coverage is then the share of components inside
+    /// their intervals instead of the share of positions inside the covariance's region: for posteriors that no
+    /// ellipse describes. A method gives intervals with all of its estimates or with none.
+    ///
+    /// # Errors
+    /// As [`push`](Self::push), and where an interval is missing, not finite or upside down.
+    #[allow(clippy::too_many_arguments, reason = "a row of the columns, as push")]
+    pub fn push_with_intervals(
+        &mut self,
+        step: u32,
+        time: f64,
+        node: u32,
+        truth: &[f64],
+        mean: &[f64],
+        covariance: &[f64],
+        intervals: &[[f64; 2]],
+    ) -> Result<(), PositioningError> {
+        let fail = |problem| PositioningError::Estimate { method: self.id.clone(), step, node, problem };
+        let scored = self.layout.scored().len();
+        if intervals.len() != scored {
+            return Err(fail(format!("{} intervals were given for {scored} components", intervals.len())));
+        }
+        if let Some([low, high]) =
+            intervals.iter().find(|[low, high]| !(low.is_finite() && high.is_finite() && low <= high))
+        {
+            return Err(fail(format!("an interval reaches from {low} to {high}")));
+        }
+        if self.intervals.len() != self.len() * scored {
+            return Err(fail("estimates before this one came without intervals".to_owned()));
+        }
+        self.push(step, time, node, truth, mean, covariance)?;
+        self.intervals.extend_from_slice(intervals);
         Ok(())
     }
 
@@ -297,7 +342,9 @@ impl MethodRun {
     pub fn estimates(&self) -> impl Iterator<Item = Estimate<'_>> {
         let d = self.layout.dimension();
         let packed = d * (d + 1) / 2;
+        let scored = self.layout.scored().len();
         (0..self.len()).map(move |k| Estimate {
+            intervals: self.intervals.get(k * scored..(k + 1) * scored).unwrap_or_default(),
             step: self.steps[k],
             time: self.times[k],
             node: self.nodes[k],
@@ -316,6 +363,7 @@ impl MethodRun {
             && self.truth.len() == n * d
             && self.mean.len() == n * d
             && self.covariance.len() == n * d * (d + 1) / 2
+            && (self.intervals.is_empty() || self.intervals.len() == n * self.layout.scored().len())
     }
 }
 
@@ -334,6 +382,8 @@ pub struct Estimate<'a> {
     pub mean: &'a [f64],
     /// Lower triangle of the covariance by rows, d(d+1)/2 entries.
     pub covariance: &'a [f64],
+    /// Central 95 % interval of each scored component; empty where the method gives none.
+    pub intervals: &'a [[f64; 2]],
 }
 
 impl Estimate<'_> {
@@ -386,6 +436,24 @@ mod tests {
         let estimate = method.estimates().next().unwrap();
         assert_eq!(estimate.error_at(0, &layout), -10.0);
         assert!((estimate.error_at(2, &layout) - (std::f64::consts::TAU - 6.0)).abs() < 1e-15);
+    }
+
+    #[test]
+    fn intervals_come_with_every_estimate_or_none() {
+        let mut method = MethodRun::new("pf", StateLayout::planar_pose());
+        let identity = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
+        let intervals = [[-1.0, 1.0], [0.0, 2.0]];
+        let mut push = |intervals: &[[f64; 2]]| {
+            method.push_with_intervals(0, 0.0, 0, &[0.0; 3], &[0.0; 3], &identity, intervals)
+        };
+        push(&intervals).unwrap();
+        let sentence = push(&intervals[..1]).unwrap_err().to_string();
+        assert!(sentence.ends_with("1 intervals were given for 2 components"), "{sentence}");
+        let sentence = push(&[[-1.0, 1.0], [2.0, 0.0]]).unwrap_err().to_string();
+        assert!(sentence.ends_with("an interval reaches from 2 to 0"), "{sentence}");
+        assert_eq!(method.estimates().next().unwrap().intervals, intervals);
+        method.push(1, 0.0, 0, &[0.0; 3], &[0.0; 3], &identity).unwrap();
+        assert!(!method.is_whole());
     }
 
     #[test]

@@ -16,6 +16,7 @@ pub fn text(report: &Report) -> String {
         ("velocity RMSE [m/s]", Align::Right),
         ("NEES/dof", Align::Right),
         ("in 95 % region", Align::Right),
+        ("95 % width [m]", Align::Right),
         ("N_eff", Align::Right),
         ("time [s]", Align::Right),
         ("calibrated?", Align::Left),
@@ -50,13 +51,16 @@ fn row(id: &str, metrics: &MethodMetrics) -> Vec<String> {
     let calibration = metrics.calibration();
     vec![
         id.to_owned(),
-        summary.position_rmse_m.as_ref().map_or(String::new(), statistic),
+        summary.position_rmse_m.as_ref().or(summary.rmse_m.as_ref()).map_or(String::new(), statistic),
         quantile(|q| q.p50),
         quantile(|q| q.p80),
         quantile(|q| q.p95),
         summary.velocity_rmse_mps.as_ref().map_or(String::new(), statistic),
-        calibration.map_or(String::new(), |calibration| number(calibration.ratio)),
+        calibration
+            .filter(|_| summary.position_rmse_m.is_some())
+            .map_or(String::new(), |calibration| number(calibration.ratio)),
         summary.coverage95.map_or(String::new(), |share| format!("{:.1} %", 100.0 * share)),
+        summary.width95.map_or(String::new(), number),
         n_eff,
         number(metrics.seconds),
         match calibration.map(|calibration| calibration.verdict) {

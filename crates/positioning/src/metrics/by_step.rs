@@ -5,11 +5,15 @@ use std::collections::BTreeMap;
 use serde::Serialize;
 
 use super::sample::{Dimensions, Sample};
+use super::summary::rmse;
 use super::{Statistic, Summary, mean};
 use crate::results::{MethodRun, RunResult};
 
 /// Steps beyond this are gathered into bins of equal width, so that arrays of a long recording stay readable.
 const MOST_BINS: usize = 1000;
+
+/// Number of steps that `final_rmse_m` is over.
+const FINAL_STEPS: usize = 10;
 
 /// Figures of one method over time; all arrays have one entry a step, or a bin of steps beyond a thousand.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -119,6 +123,14 @@ impl BoundByStep {
             position_rmse_m: Statistic { mean: gathered.iter().map(root).collect(), se: None },
         }
     }
+}
+
+/// Root mean squared error over the last steps; absent where there are no others.
+pub(super) fn final_rmse(samples: &[Sample], bins: &Bins) -> Option<Statistic<f64>> {
+    let first = bins.steps.len().checked_sub(FINAL_STEPS).filter(|&first| first > 0)?;
+    let chosen: Vec<Sample> =
+        samples.iter().filter(|sample| sample.step >= bins.steps[first]).copied().collect();
+    rmse(&chosen, |sample| sample.position_squared.or(sample.state_squared))
 }
 
 /// Ratio of the root mean squared position errors in the last and the first third of the steps.

@@ -3,11 +3,15 @@
 //! | name | definition |
 //! |---|---|
 //! | `position_rmse_m` | root of the mean over runs of each run's mean squared position error (nodes and scored steps pooled); `se` by the delta method, absent for a single run |
+//! | `rmse_m` | the same of a state that has no position, all components together |
+//! | `final_rmse_m` | the same over the last ten scored steps |
 //! | `velocity_rmse_mps` | the same of the velocity, where the state has one |
 //! | `error_quantiles_m` | quantiles of the position error's length, runs, nodes and steps pooled, interpolated linearly |
 //! | `per_run_p90_median_m` | median over runs of each run's 90 % error |
 //! | `nees` | normalised estimation error squared eᵀP⁻¹e of the position, the velocity and the whole state: mean, median, degrees of freedom, and the band that the mean keeps to with probability 95 % if the method is consistent |
-//! | `coverage95` | share of errors inside the 95 % region of the position |
+//! | `coverage95` | share of errors inside the 95 % region of the position, or where the method gives intervals the share of components inside their central 95 % interval |
+//! | `coverage95_se` | standard error of that share over runs |
+//! | `width95` | mean width of those intervals |
 //! | `last_third_over_first_third` | ratio of the position errors (root mean square) in the last and the first third of the steps |
 //! | `one_sidedness` | \|mean over steps of the sign of the error\|, averaged over axes, nodes and runs |
 //! | `segments` | the same figures over named stretches |
@@ -74,6 +78,9 @@ pub struct MethodMetrics {
     /// The figures that exist by step as well.
     #[serde(flatten)]
     pub summary: Summary<f64>,
+    /// Root mean squared error over the last ten scored steps (m), of the position where there is one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub final_rmse_m: Option<Statistic<f64>>,
     /// Median over runs of each run's 90 % position error (m).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub per_run_p90_median_m: Option<f64>,
@@ -167,6 +174,7 @@ impl MethodMetrics {
         Ok(Self {
             seconds: mine.iter().map(|method| method.seconds).sum(),
             summary: Summary::new(&samples, dimensions),
+            final_rmse_m: by_step::final_rmse(&samples, &bins),
             per_run_p90_median_m: summary::per_run_p90_median(&samples),
             last_third_over_first_third: by_step::last_third_over_first_third(&samples, &bins),
             one_sidedness: sample::one_sidedness(&samples, dimensions.position),

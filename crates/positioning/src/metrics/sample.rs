@@ -15,11 +15,17 @@ pub(super) struct Dimensions {
     pub position: usize,
     pub velocity: usize,
     pub state: usize,
+    pub scored: usize,
 }
 
 impl Dimensions {
     pub fn of(layout: &StateLayout) -> Self {
-        Self { position: layout.position.len(), velocity: layout.velocity.len(), state: layout.dimension() }
+        Self {
+            position: layout.position.len(),
+            velocity: layout.velocity.len(),
+            state: layout.dimension(),
+            scored: layout.scored().len(),
+        }
     }
 }
 
@@ -33,14 +39,19 @@ pub(super) struct Sample {
     pub time: f64,
     /// Squared length of the position error (m²).
     pub position_squared: Option<f64>,
+    /// Squared length of the state's error, of a state that has no position.
+    pub state_squared: Option<f64>,
     /// Squared length of the velocity error (m²/s²).
     pub velocity_squared: Option<f64>,
     /// NEES of the blocks; `None` where the covariance is singular or the block empty.
     pub position_nees: Option<f64>,
     pub velocity_nees: Option<f64>,
     pub state_nees: Option<f64>,
-    /// Whether the 95 % region of the position holds the truth.
-    pub covered: bool,
+    /// Whether the 95 % region of the position (of the whole state, where it has none) holds the truth, as 0 or 1;
+    /// where there are intervals the share of them that do.
+    pub covered: f64,
+    /// Mean width of the 95 % intervals, where there are some.
+    pub width: Option<f64>,
     /// Signs of the position error along the first three axes.
     pub signs: [f64; 3],
 }
@@ -49,7 +60,8 @@ pub(super) struct Sample {
 pub(super) fn samples(run: usize, method: &MethodRun) -> impl Iterator<Item = Sample> {
     let layout = &method.layout;
     let whole: Vec<usize> = (0..layout.dimension()).collect();
-    let limit = chi_square::quantile(0.95, layout.position.len() as f64).unwrap_or(0.0);
+    let scored = layout.scored();
+    let limit = chi_square::quantile(0.95, scored.len() as f64).unwrap_or(0.0);
     let mut work = Vec::new();
     method.estimates().map(move |estimate| {
         let errors = |axes: &[usize]| -> Option<f64> {
@@ -58,8 +70,20 @@ pub(super) fn samples(run: usize, method: &MethodRun) -> impl Iterator<Item = Sa
         };
         let position_squared = errors(&layout.position);
         let position_nees = nees(&estimate, layout, &layout.position, &mut work);
-        // A degenerate region holds the truth if it is the truth itself, and nothing else.
-        let covered = position_nees.map_or(position_squared == Some(0.0), |nees| nees <= limit);
+        let state_squared = if layout.position.is_empty() { errors(&whole) } else { None };
+        let state_nees = nees(&estimate, layout, &whole, &mut work);
+        let (covered, width) = if estimate.intervals.is_empty() {
+            let (nees, squared) = match layout.position.is_empty() {
+                true => (state_nees, state_squared),
+                false => (position_nees, position_squared),
+            };
+            // A degenerate region holds the truth if it is the truth itself, and nothing else.
+            let inside = nees.map_or(squared == Some(0.0), |nees| nees <= limit);
+            (f64::from(u8::from(inside)), None)
+        } else {
+            let (covered, width) = intervals(&estimate, &scored);
+            (covered, Some(width))
+        };
         let mut signs = [0.0; 3];
         for (sign, &i) in signs.iter_mut().zip(&layout.position) {
             let error = estimate.error_at(i, layout);
@@ -74,11 +98,23 @@ pub(super) fn samples(run: usize, method: &MethodRun) -> impl Iterator<Item = Sa
             velocity_squared: errors(&layout.velocity),
             position_nees,
             velocity_nees: nees(&estimate, layout, &layout.velocity, &mut work),
-            state_nees: nees(&estimate, layout, &whole, &mut work),
+            state_nees,
+            state_squared,
             covered,
+            width,
             signs,
         }
     })
+}
+
+/// Share of the scored components inside their intervals, and the intervals' mean width.
+fn intervals(estimate: &Estimate<'_>, scored: &[usize]) -> (f64, f64) {
+    let (mut inside, mut width) = (0.0, 0.0);
+    for ([low, high], &i) in estimate.intervals.iter().zip(scored) {
+        inside += f64::from(u8::from((*low..=*high).contains(&estimate.truth[i])));
+        width += high - low;
+    }
+    (inside / scored.len() as f64, width / scored.len() as f64)
 }
 
 /// eᵀP⁻¹e over some components, by a Cholesky factorisation of the covariance scaled to unit variances; `None` if

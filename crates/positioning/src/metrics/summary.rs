@@ -68,6 +68,9 @@ pub struct Summary<T> {
     /// Root mean squared position error (m).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub position_rmse_m: Option<Statistic<T>>,
+    /// Root mean squared error of a state that has no position (m).
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rmse_m: Option<Statistic<T>>,
     /// Root mean squared velocity error (m/s).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub velocity_rmse_mps: Option<Statistic<T>>,
@@ -77,9 +80,15 @@ pub struct Summary<T> {
     /// Consistency.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub nees: Option<NeesBlocks<T>>,
-    /// Share of positions inside their 95 % region.
+    /// Share of positions inside their 95 % region, or of components inside their 95 % intervals.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub coverage95: Option<T>,
+    /// Standard error of that share over runs; absent for a single run.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub coverage95_se: Option<T>,
+    /// Mean width of the 95 % intervals (m).
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub width95: Option<T>,
 }
 
 impl Summary<f64> {
@@ -90,14 +99,17 @@ impl Summary<f64> {
             state: nees(samples, dimensions.state, |sample| sample.state_nees),
         };
         let any = blocks.position.is_some() || blocks.velocity.is_some() || blocks.state.is_some();
-        let scored = dimensions.position > 0 && !samples.is_empty();
+        let scored = dimensions.scored > 0 && !samples.is_empty();
+        let widths: Option<Vec<f64>> = samples.iter().map(|sample| sample.width).collect();
         Self {
             position_rmse_m: rmse(samples, |sample| sample.position_squared),
+            rmse_m: rmse(samples, |sample| sample.state_squared),
             velocity_rmse_mps: rmse(samples, |sample| sample.velocity_squared),
             error_quantiles_m: quantiles(samples),
             nees: any.then_some(blocks),
-            coverage95: scored
-                .then(|| mean(samples.iter().map(|sample| f64::from(u8::from(sample.covered))))),
+            coverage95: scored.then(|| mean(samples.iter().map(|sample| sample.covered))),
+            coverage95_se: if scored { coverage_error(samples) } else { None },
+            width95: widths.filter(|widths| !widths.is_empty()).map(mean),
         }
     }
 }
@@ -140,10 +152,13 @@ impl Summary<Vec<f64>> {
         };
         Self {
             position_rmse_m: statistic(|row| row.position_rmse_m.as_ref()),
+            rmse_m: statistic(|row| row.rmse_m.as_ref()),
             velocity_rmse_mps: statistic(|row| row.velocity_rmse_mps.as_ref()),
             error_quantiles_m: quantiles(),
             nees: any.then_some(blocks),
             coverage95: column(rows, |row| row.coverage95),
+            coverage95_se: column(rows, |row| row.coverage95_se),
+            width95: column(rows, |row| row.width95),
         }
     }
 }
@@ -153,7 +168,7 @@ fn column(rows: &[Summary<f64>], of: impl Fn(&Summary<f64>) -> Option<f64>) -> O
 }
 
 /// r = √m̄ with m̄ the mean over runs of each run's mean square; by the delta method se(r) = se(m̄) / 2r.
-fn rmse(samples: &[Sample], squared: impl Fn(&Sample) -> Option<f64>) -> Option<Statistic<f64>> {
+pub(super) fn rmse(samples: &[Sample], squared: impl Fn(&Sample) -> Option<f64>) -> Option<Statistic<f64>> {
     let per_run = per_run(samples, squared);
     if per_run.is_empty() {
         return None;
@@ -167,6 +182,15 @@ fn rmse(samples: &[Sample], squared: impl Fn(&Sample) -> Option<f64>) -> Option<
         (variance / n).sqrt() / (2.0 * root)
     });
     Some(Statistic { mean: root, se })
+}
+
+/// Standard error over runs of the share of covered errors.
+fn coverage_error(samples: &[Sample]) -> Option<f64> {
+    let shares: Vec<f64> = per_run(samples, |sample| Some(sample.covered)).into_iter().map(mean).collect();
+    let n = shares.len() as f64;
+    let share = mean(shares.iter().copied());
+    let squares: f64 = shares.iter().map(|value| (value - share).powi(2)).sum();
+    (shares.len() > 1).then(|| (squares / (n - 1.0) / n).sqrt())
 }
 
 fn per_run(samples: &[Sample], value: impl Fn(&Sample) -> Option<f64>) -> Vec<Vec<f64>> {

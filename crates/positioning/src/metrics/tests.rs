@@ -219,3 +219,27 @@ fn results_that_do_not_fit_together_are_refused() {
     bad.methods[0].diagnostics.push(Diagnostic { name: "n_eff".into(), value: f64::NAN });
     assert!(Report::new("s", 1, &[bad]).unwrap_err().to_string().contains("n_eff = NaN"));
 }
+
+#[test]
+fn a_state_without_a_position_is_judged_by_its_intervals() {
+    let layout = StateLayout { names: vec!["x".into()], position: vec![], velocity: vec![], angular: vec![] };
+    let run = |run: u32, truths: &[f64]| {
+        let mut method = MethodRun::new("m", layout.clone());
+        for (step, &truth) in truths.iter().enumerate() {
+            method
+                .push_with_intervals(step as u32, 0.0, 0, &[truth], &[0.0], &[1.0], &[[-1.0, 3.0]])
+                .unwrap();
+        }
+        run_of(run, method)
+    };
+    let truths = [[2.0, 0.0, -2.0, 1.0]; 3].concat();
+    let report = Report::new("s", 1, &[run(0, &truths), run(1, &truths)]).unwrap();
+    let metrics = report.method("m").unwrap();
+    let summary = &metrics.summary;
+    assert_eq!(summary.position_rmse_m, None);
+    assert!((summary.rmse_m.as_ref().unwrap().mean - 1.5).abs() < 1e-12);
+    assert_eq!((summary.coverage95, summary.width95), (Some(0.75), Some(4.0)));
+    let last_ten = (truths[2..].iter().map(|x| x * x).sum::<f64>() / 10.0).sqrt();
+    assert!((metrics.final_rmse_m.as_ref().unwrap().mean - last_ten).abs() < 1e-12);
+    assert_eq!(metrics.calibration().unwrap().verdict, Verdict::Overconfident);
+}
