@@ -3,6 +3,7 @@
 mod bearing;
 mod checks;
 mod constant_velocity;
+mod coordinated_turn;
 mod displacement;
 mod linear;
 mod linear_pair;
@@ -15,6 +16,7 @@ mod unicycle;
 
 pub use bearing::{Bearing, RangeBearing};
 pub use constant_velocity::ConstantVelocity;
+pub use coordinated_turn::CoordinatedTurn;
 pub use displacement::Displacement;
 pub use linear::LinearGaussian;
 pub use linear_pair::LinearPair;

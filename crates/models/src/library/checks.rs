@@ -19,6 +19,14 @@ pub(super) fn finite<'a>(
     }
 }
 
+/// Refuses a number that is not positive and finite.
+pub(super) fn positive(what: &'static str, value: f64) -> Result<(), MessageError> {
+    if value > 0.0 && value.is_finite() {
+        return Ok(());
+    }
+    Err(MessageError::NotPositiveDefinite { what, pivot: 0, value })
+}
+
 /// Refuses the first coordinate that a variable of this dimension does not have.
 pub(super) fn coordinates(what: &'static str, read: &[usize], dimension: usize) -> Result<(), MessageError> {
     match read.iter().find(|&&index| index >= dimension) {

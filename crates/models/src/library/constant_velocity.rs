@@ -1,6 +1,6 @@
 //! Constant velocity in any number of axes, state [x, vx, y, vy, ...].
 
-use super::checks::finite;
+use super::checks::{finite, positive};
 use crate::{Motion, ProcessNoise, Real};
 use sumprod_graph::MessageError;
 
@@ -63,13 +63,6 @@ impl ConstantVelocity {
         finite("an entry of the process noise", &noise.covariance())?;
         Ok(Self { axes, interval, noise })
     }
-}
-
-fn positive(what: &'static str, value: f64) -> Result<(), MessageError> {
-    if value > 0.0 && value.is_finite() {
-        return Ok(());
-    }
-    Err(MessageError::NotPositiveDefinite { what, pivot: 0, value })
 }
 
 impl Motion for ConstantVelocity {
