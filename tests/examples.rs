@@ -4,6 +4,8 @@
 mod encoder_calibration;
 #[path = "../examples/filters.rs"]
 mod filters;
+#[path = "../examples/kcpf.rs"]
+mod kcpf;
 #[path = "../examples/linear_chain.rs"]
 mod linear_chain;
 #[path = "../examples/own_factor.rs"]
@@ -38,4 +40,5 @@ mod of {
         p_mpa,
         swap_forms
     );
+    run!(kcpf, linear_chain, own_factor, own_message, own_schedule, p_mpa);
 }

@@ -20,6 +20,9 @@ pub const BUILTINS: &[Builtin] = &[
     Builtin { name: "plaza", text: include_str!("../scenarios/plaza.toml") },
     Builtin { name: "product", text: include_str!("../scenarios/product.toml") },
     Builtin { name: "range-slam-small", text: include_str!("../scenarios/range-slam-small.toml") },
+    Builtin { name: "kcpf-growth", text: include_str!("../scenarios/kcpf-growth.toml") },
+    Builtin { name: "kcpf-turn", text: include_str!("../scenarios/kcpf-turn.toml") },
+    Builtin { name: "wsn-walk", text: include_str!("../scenarios/wsn-walk.toml") },
     #[cfg(test)]
     Builtin { name: "walk", text: include_str!("testing/walk.toml") },
 ];

@@ -1,6 +1,8 @@
 //! The one list of systems: which Rust type reads and runs the scenario files of which `system`.
 
 use sumprod_positioning::cooperation::Cooperation;
+use sumprod_positioning::kcpf::growth::Growth;
+use sumprod_positioning::kcpf::turn::Turn;
 use sumprod_positioning::pmpa::PMpa;
 use sumprod_positioning::product::Product;
 use sumprod_positioning::range_slam::RangeSlam;
@@ -8,6 +10,7 @@ use sumprod_positioning::robots::mrclam::Mrclam;
 use sumprod_positioning::robots::plaza::Plaza;
 use sumprod_positioning::scenario::Scenario;
 use sumprod_positioning::static_network::StaticNetwork;
+use sumprod_positioning::walk::Walk as RadioWalk;
 
 use crate::document::Document;
 use crate::failure::Failure;
@@ -30,6 +33,9 @@ pub const SYSTEMS: &[&str] = &[
     Plaza::SYSTEM,
     Product::SYSTEM,
     RangeSlam::SYSTEM,
+    Growth::SYSTEM,
+    Turn::SYSTEM,
+    RadioWalk::SYSTEM,
     #[cfg(test)]
     crate::testing::Walk::SYSTEM,
 ];
@@ -44,6 +50,9 @@ pub fn dispatch<A: Action>(document: &Document, action: A) -> Result<A::Output, 
         Plaza::SYSTEM => action.on::<Plaza>(document),
         Product::SYSTEM => action.on::<Product>(document),
         RangeSlam::SYSTEM => action.on::<RangeSlam>(document),
+        Growth::SYSTEM => action.on::<Growth>(document),
+        Turn::SYSTEM => action.on::<Turn>(document),
+        RadioWalk::SYSTEM => action.on::<RadioWalk>(document),
         #[cfg(test)]
         crate::testing::Walk::SYSTEM => action.on::<crate::testing::Walk>(document),
         unknown => {

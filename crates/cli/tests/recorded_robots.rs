@@ -61,6 +61,18 @@ fn plaza_is_located_and_its_radio_calibrated() {
 }
 
 #[test]
+fn a_walker_among_radio_links_is_tracked_by_every_method() {
+    let Some(data) = recording("rti_basement") else { return };
+    let fewer = |id: &str| format!("method.{id}.particles=300");
+    let sets = ["pf", "qgpf-mh", "kcpf"].map(fewer);
+    let more: Vec<&str> = sets.iter().flat_map(|set| ["--set", set]).collect();
+    let methods = methods("wsn-walk", &data, &[&more[..], &["--set", "model.cell=0.3"]].concat());
+    for id in ["grid", "pf", "qgpf-mh", "kcpf"] {
+        hold(&methods, id, 1.0, [0.5, 1.6], [0.90, 0.995]);
+    }
+}
+
+#[test]
 fn five_robots_are_located_with_all_landmarks() {
     let Some(data) = recording("mrclam/dataset6") else { return };
     let methods = methods("mrclam", &data, &["--method", "odometry,filter,smoother"]);

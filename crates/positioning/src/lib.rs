@@ -13,13 +13,17 @@
 //! | [`product`] | products of recorded mixtures, by several methods |
 //! | [`range_slam`] | landmarks located by ranges alone, by mixtures |
 //! | [`robots`] | robots located on recorded data |
+//! | [`kcpf`] | the growth model and the coordinated turn of the knowledge-board paper |
+//! | [`walk`] | a person tracked by the links of a recorded radio network |
 //! | [`error`] | the crate's error |
 
 pub mod campaign;
 pub mod cooperation;
 mod costs;
+mod driven;
 pub mod error;
 pub mod form;
+pub mod kcpf;
 pub mod metrics;
 pub mod pmpa;
 pub mod product;
@@ -28,5 +32,6 @@ pub mod results;
 pub mod robots;
 pub mod scenario;
 pub mod static_network;
+pub mod walk;
 
 pub use error::PositioningError;
