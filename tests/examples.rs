@@ -33,6 +33,7 @@ mod of {
     run!(
         encoder_calibration,
         filters,
+        kcpf,
         linear_chain,
         own_factor,
         own_message,
@@ -40,5 +41,4 @@ mod of {
         p_mpa,
         swap_forms
     );
-    run!(kcpf, linear_chain, own_factor, own_message, own_schedule, p_mpa);
 }

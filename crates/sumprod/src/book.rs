@@ -24,6 +24,7 @@ chapters! {
     Scenarios: "../../../docs/src/scenarios.md",
     Data: "../../../docs/src/data.md",
     PMpa: "../../../docs/src/p-mpa.md",
+    Kcpf: "../../../docs/src/kcpf.md",
     Cooperation: "../../../docs/src/cooperation.md",
     RangeSlam: "../../../docs/src/range-slam.md",
     Decisions: "../../../docs/src/decisions.md",
