@@ -346,7 +346,7 @@ fn correlation_time(sweeps: &[Sweep], columns: usize) -> f64 {
             }
         }
         let correlation = sum / count;
-        if !(correlation >= LEAST_CORRELATION) {
+        if correlation.is_nan() || correlation < LEAST_CORRELATION {
             break;
         }
         time += 2.0 * correlation;
