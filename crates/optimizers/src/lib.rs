@@ -16,7 +16,6 @@
 //! | [`board`] | the knowledge-board co-operative swarm, as published and as a proposal |
 //! | [`error`] | the crate's error |
 
-#[allow(clippy::single_range_in_vec_init, reason = "a sub-swarm is a range, and sometimes there is one")]
 pub mod board;
 mod chains;
 pub mod error;

@@ -92,7 +92,8 @@ mod tests {
 
     #[test]
     fn few_or_coinciding_points_are_one_slab_or_any() {
-        assert_eq!(Partition::new(&[1.0, 2.0, 3.0], 1, 10).ranges(), [0..3]);
+        let few = Partition::new(&[1.0, 2.0, 3.0], 1, 10);
+        assert_eq!((few.ranges().len(), few.ranges()[0].clone()), (1, 0..3));
         let same = Partition::new(&[0.0; 16], 2, 2);
         assert_eq!(same.ranges(), [0..4, 4..8]);
     }

@@ -124,11 +124,16 @@ pub(super) fn exponentials(logs: &[f64]) -> Vec<f64> {
 mod tests {
     use super::*;
 
+    /// One Gaussian of all points.
+    fn one(points: &[f64], logs: &[f64], dimension: usize) -> Components {
+        Components::weighted(points, logs, std::slice::from_ref(&(0..logs.len())), dimension)
+    }
+
     #[test]
     fn a_sum_over_sub_swarms_keeps_mean_and_covariance() {
         let points: Vec<f64> = (0..24).map(|k| f64::from((7 * k) % 24).sqrt()).collect();
         let logs: Vec<f64> = (0..12).map(|k| -0.1 * f64::from(k)).collect();
-        let whole = Components::weighted(&points, &logs, &[0..12], 2).mixture().unwrap().moments();
+        let whole = one(&points, &logs, 2).mixture().unwrap().moments();
         let cut = Components::weighted(&points, &logs, &[0..4, 4..8, 8..12], 2).mixture().unwrap().moments();
         for (a, b) in whole.mean.iter().chain(&whole.covariance).zip(cut.mean.iter().chain(&cut.covariance)) {
             assert!((a - b).abs() < 1e-9, "{a} {b}");
@@ -137,8 +142,8 @@ mod tests {
 
     #[test]
     fn shares_add_up_and_what_holds_nothing_is_left_out() {
-        let sum = |x: f64| Components::weighted(&[x, x + 1.0], &[0.0; 2], &[0..2], 1);
-        let nothing = Components::weighted(&[0.0, 1.0], &[f64::NEG_INFINITY; 2], &[0..2], 1);
+        let sum = |x: f64| one(&[x, x + 1.0], &[0.0; 2], 1);
+        let nothing = one(&[0.0, 1.0], &[f64::NEG_INFINITY; 2], 1);
         let mixture = sum(0.0).defended([sum(5.0), nothing.clone()], 0.25).mixture().unwrap();
         let weights = mixture.weights();
         assert!((weights[0] - 0.25).abs() < 1e-12 && (weights[1] - 0.75).abs() < 1e-12);

@@ -139,7 +139,8 @@ impl Swarms {
         let mut logs = vec![0.0; self.fitness.len()];
         for range in &self.ranges {
             let members = &self.positions[range.start * d..range.end * d];
-            let own = Components::weighted(members, &vec![0.0; range.len()], &[0..range.len()], d);
+            let all = 0..range.len();
+            let own = Components::weighted(members, &vec![0.0; range.len()], std::slice::from_ref(&all), d);
             let logs = &mut logs[range.clone()];
             Evaluator::new(&own.widened(4.0).mixture()?).log_densities(members, logs)?;
             for (log, fitness) in logs.iter_mut().zip(&self.fitness[range.clone()]) {
