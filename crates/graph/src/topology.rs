@@ -130,15 +130,6 @@ impl Topology {
         })
     }
 
-    pub(crate) fn raw_variables_of_edges(&self, edges: Range<usize>) -> &[u32] {
-        &self.edge_variable[edges]
-    }
-
-    /// The edges of consecutive factors.
-    pub(crate) fn edges_of_factors(&self, factors: Range<usize>) -> Range<usize> {
-        self.first_edge(factors.start)..self.first_edge(factors.end)
-    }
-
     pub(crate) fn first_edge(&self, factor: usize) -> usize {
         self.factor_edges[factor] as usize
     }

@@ -23,22 +23,8 @@ use std::ops::Range;
 /// Factors and variables per run: long enough that splitting costs nothing, short enough to share out.
 const RUN_LENGTH: usize = 4096;
 
-/// Factors that a thread works through in stages, so that the memory of one stage's messages is fetched side by side
-/// and what they leave stays in the first-level cache.
+/// Factors between updates of beliefs on one thread: what they send stays in the nearest caches.
 const STRIDE: usize = 64;
-
-/// Factors in a stage: one alone where messages may be large.
-const fn stride<M: Message>() -> usize {
-    if M::ALWAYS_DIVIDES { STRIDE } else { 1 }
-}
-
-/// The consecutive strides that `factors` are cut into, at the same places whatever the run.
-fn strides<M: Message>(factors: Range<usize>) -> impl Iterator<Item = Range<usize>> {
-    let length = stride::<M>();
-    let first = factors.start / length;
-    (first..factors.end.div_ceil(length))
-        .map(move |index| (index * length).max(factors.start)..((index + 1) * length).min(factors.end))
-}
 
 /// How a flooding pass is cut, with the storage of each run.
 pub(super) struct Plan<M> {
@@ -46,7 +32,6 @@ pub(super) struct Plan<M> {
     variables: Vec<VariableRun<M>>,
     /// For one thread: the variables by the stride of factors after which nothing more is sent to them.
     done: Done,
-    scratch: Scratch<M>,
     /// The messages as they stood, kept where inputs may have to be multiplied from them.
     previous: Vec<M>,
     parallel: bool,
@@ -68,10 +53,6 @@ struct VariableRun<M> {
 impl<M: Message> Plan<M> {
     pub(super) fn new(topology: &Topology, scratch: &Scratch<M>, parallel: bool) -> Self {
         let small = topology.edge_count() < PARALLEL_EDGES;
-        let mut scratch = scratch.clone();
-        let widest =
-            strides::<M>(0..topology.factor_count()).map(|stride| topology.edges_of_factors(stride).len());
-        scratch.inputs.resize(widest.max().unwrap_or(0), scratch.output.clone());
         let run = |factors| FactorRun { factors, scratch: scratch.clone(), outcome: Ok(()) };
         let over = |variables| VariableRun { variables, previous: scratch.output.clone(), outcome: Ok(0.0) };
         Self {
@@ -80,7 +61,6 @@ impl<M: Message> Plan<M> {
             done: if parallel && !small { Done::default() } else { Done::new(topology) },
             previous: Vec::new(),
             parallel: parallel && !small,
-            scratch,
         }
     }
 }
@@ -188,13 +168,13 @@ fn interleaved<M: Message, F: Factor<M>>(
     engine: &mut Engine<'_, M, F>,
     topology: &Topology,
 ) -> Result<f64, GraphError> {
-    let Engine { graph, options, state, forms, flood, exchange: [previous, _], .. } = engine;
+    let Engine { graph, options, state, forms, flood, scratch, exchange: [previous, _], .. } = engine;
     let mut messages = std::mem::take(&mut state.messages);
     let mut beliefs = std::mem::take(&mut state.beliefs);
     let shared = Shared { graph, topology, options, state, previous: &[], forms };
     let mut largest: f64 = 0.0;
     let outcome = flood.done.strides(topology.factor_count()).try_for_each(|(factors, variables)| {
-        send(&shared, &beliefs, factors, &mut flood.scratch, &mut messages, 0, false)?;
+        send(&shared, &beliefs, factors, scratch, &mut messages, 0, false)?;
         for &variable in variables {
             let (variable, guess) = (variable as usize, &mut false);
             gather(&shared, variable, &messages, previous, &mut beliefs[variable], guess, &mut largest)?;
@@ -238,7 +218,7 @@ fn visit_factors<M: Message, F: Factor<M>>(
     }
 }
 
-/// All messages of consecutive factors, in place: by strides, first what the variables send, then the answers.
+/// All messages of consecutive factors, in place.
 fn send<M: Message, F: Factor<M>>(
     shared: &Shared<'_, M, F>,
     beliefs: &[M],
@@ -248,63 +228,29 @@ fn send<M: Message, F: Factor<M>>(
     offset: usize,
     any_guess: bool,
 ) -> Result<(), GraphError> {
-    for factors in strides::<M>(factors) {
-        let edges = shared.topology.edges_of_factors(factors.clone());
-        let messages = &mut messages[edges.start - offset..edges.end - offset];
-        // What a factor of one port says does not depend on what it hears.
-        if edges.len() > 1 {
-            ask(shared, beliefs, edges, messages, any_guess, &mut scratch.inputs)?;
-        }
-        answer(shared, beliefs, factors, messages, scratch)?;
-    }
-    Ok(())
-}
-
-/// What the variables send along consecutive edges, into `inputs`.
-fn ask<M: Message, F: Factor<M>>(
-    shared: &Shared<'_, M, F>,
-    beliefs: &[M],
-    edges: Range<usize>,
-    messages: &[M],
-    any_guess: bool,
-    inputs: &mut [M],
-) -> Result<(), GraphError> {
-    let variables = shared.topology.raw_variables_of_edges(edges.clone());
-    let broadcast = shared.options.outgoing == Outgoing::Broadcast;
-    for (((input, message), &variable), edge) in inputs.iter_mut().zip(messages).zip(variables).zip(edges) {
-        let belief = &beliefs[variable as usize];
-        if broadcast {
-            input.clone_from(belief);
-        } else if any_guess || !belief.quotient_into(message, input) {
-            without(shared, variable as usize, edge, input)?;
-        }
-    }
-    Ok(())
-}
-
-/// The messages of consecutive factors, in place of their old ones, from the inputs of all of them.
-fn answer<M: Message, F: Factor<M>>(
-    shared: &Shared<'_, M, F>,
-    beliefs: &[M],
-    factors: Range<usize>,
-    messages: &mut [M],
-    scratch: &mut Scratch<M>,
-) -> Result<(), GraphError> {
     let Shared { graph, topology, options, state, .. } = *shared;
     let Scratch { inputs, output } = scratch;
+    let broadcast = options.outgoing == Outgoing::Broadcast;
     let mut first = topology.first_edge(factors.start);
-    let mut rest = (messages, &shared.forms.edges[first..], &inputs[..]);
+    let mut rest = (&mut messages[first - offset..], &graph.edge_form[first..]);
     let rules = graph.factors[factors.clone()].iter();
     let variables = topology.raw_variables_of_factors(factors.clone());
     for ((factor, rule), variables) in factors.zip(rules).zip(variables) {
         let arity = variables.len();
-        let (own, forms, inputs);
+        let (own, forms);
         ((own, rest.0), (forms, rest.1)) = (rest.0.split_at_mut(arity), rest.1.split_at(arity));
-        (inputs, rest.2) = rest.2.split_at(arity);
         let edges = first..first + arity;
         first = edges.end;
         if arity == 1 && rule.is_constant() && state.sent[edges.start] {
             continue;
+        }
+        for (port, (input, &variable)) in inputs.iter_mut().zip(variables).enumerate() {
+            let belief = &beliefs[variable as usize];
+            if broadcast {
+                input.clone_from(belief);
+            } else if any_guess || !belief.quotient_into(&own[port], input) {
+                without(shared, variable as usize, edges.start + port, input)?;
+            }
         }
         let incoming = Incoming::trusted(inputs, beliefs, variables);
         let streams = MessageStreams::new(options.seed, state.iteration, edges.start as u64);
