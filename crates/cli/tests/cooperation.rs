@@ -40,7 +40,7 @@ fn values_that_mean_nothing_are_refused_by_their_key() {
         ("method.particle-bp.particles=0", "`method.particle-bp.particles` is 0"),
         ("method.joint.particles=5", "`method.joint.particles` does not apply to the joint filter"),
         ("method.gaussian-bp.form.range={particles=0}", "`method.gaussian-bp.form.range.particles` is 0"),
-        ("method.gaussian-bp.form.range=mixtur", "choose one of gaussian, particles"),
+        ("method.gaussian-bp.form.range=mixtur", "choose one of gaussian, mixture, particles"),
         ("method.gaussian-bp.form.ranges=gaussian", "did you mean `method.gaussian-bp.form.range`?"),
         ("method.gaussian-bp.neighbours=silent", "choose one of extrinsic, broadcast, plug-in, ignored"),
     ] {

@@ -96,7 +96,7 @@ fn numbers_that_cannot_be_are_refused_with_their_key() {
         ("pmpa-cdf", "world.process_variance=-1", "a variance must be positive and finite"),
         ("pmpa-cdf", "method.pf.particles=0", "at least 1 particle"),
         ("coop-c3", "world.range_variance=nan", "is NaN"),
-        ("coop-c3", "method.gaussian-bp.form.range=mixtur", "choose one of gaussian, particles"),
+        ("coop-c3", "method.gaussian-bp.form.range=mixtur", "choose one of gaussian, mixture, particles"),
         (
             "plaza",
             covariance,
