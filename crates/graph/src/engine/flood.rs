@@ -232,7 +232,7 @@ fn send<M: Message, F: Factor<M>>(
     let Scratch { inputs, output } = scratch;
     let broadcast = options.outgoing == Outgoing::Broadcast;
     let mut first = topology.first_edge(factors.start);
-    let mut rest = (&mut messages[first - offset..], &graph.edge_form[first..]);
+    let mut rest = (&mut messages[first - offset..], &shared.forms.edges[first..]);
     let rules = graph.factors[factors.clone()].iter();
     let variables = topology.raw_variables_of_factors(factors.clone());
     for ((factor, rule), variables) in factors.zip(rules).zip(variables) {
