@@ -1,6 +1,7 @@
 //! A factor's rules for one family of messages.
 
 use crate::{Message, MessageError, MessageStreams, Stream};
+use std::any::Any;
 
 /// The place of a variable in a factor's argument list, from zero.
 pub type Port = usize;
@@ -108,6 +109,14 @@ pub trait Factor<M: Message>: Send + Sync {
     fn is_constant(&self) -> bool {
         false
     }
+
+    /// Answers a question of a crate that knows what factors mean, which this one does not: a factor recognises a
+    /// question by its type, and writes the answer into it. False where it has none.
+    ///
+    /// Joint solves ask for the residual and its derivative in this way.
+    fn answer(&self, _question: &mut dyn Any) -> bool {
+        false
+    }
 }
 
 macro_rules! forward {
@@ -146,6 +155,9 @@ macro_rules! forward {
             }
             fn is_constant(&self) -> bool {
                 (**self).is_constant()
+            }
+            fn answer(&self, question: &mut dyn Any) -> bool {
+                (**self).answer(question)
             }
         }
     )*};

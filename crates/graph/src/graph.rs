@@ -351,6 +351,25 @@ impl<M: Message, F: Factor<M>> FactorGraph<M, F> {
         self.edge_range(factor).map(|edge| VariableId(self.edge_variable[edge]))
     }
 
+    /// A factor's rules.
+    ///
+    /// # Panics
+    ///
+    /// Where the handle is of another graph.
+    pub fn rules(&self, factor: FactorId) -> &F {
+        &self.factors[factor.index()]
+    }
+
+    /// The message pinned to a variable.
+    pub fn prior(&self, variable: VariableId) -> Option<&M> {
+        self.variables.get(variable.index()).and_then(|v| v.prior.as_ref())
+    }
+
+    /// The start of a variable's belief.
+    pub fn start(&self, variable: VariableId) -> Option<&M> {
+        self.variables.get(variable.index()).and_then(|v| v.start.as_ref())
+    }
+
     /// The form of an edge.
     pub fn edge_form(&self, edge: EdgeId) -> &M::Form {
         &self.edge_form[edge.index()]

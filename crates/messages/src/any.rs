@@ -244,10 +244,7 @@ impl AnyMessage {
 }
 
 fn coordinates_of(space: &Space) -> Arc<[Coordinate]> {
-    match space {
-        Space::Continuous(coordinates) => coordinates.as_slice().into(),
-        Space::Finite(_) => Arc::from([]),
-    }
+    space.coordinates().unwrap_or_default().into()
 }
 
 impl Message for AnyMessage {

@@ -109,7 +109,7 @@ impl Mixture {
         covariances: Vec<f64>,
         shared: bool,
     ) -> Result<Self, MessageError> {
-        let Space::Continuous(coordinates) = space else {
+        let (Space::Continuous(_) | Space::Se2, Some(coordinates)) = (space, space.coordinates()) else {
             return Err(MessageError::Unsupported("a mixture needs a continuous variable".into()));
         };
         let (d, count) = (coordinates.len(), log_weights.len());
@@ -139,7 +139,7 @@ impl Mixture {
                 });
             }
         }
-        let mut mixture = Self { coordinates: coordinates.clone(), log_weights, means, covariances, shared };
+        let mut mixture = Self { coordinates: coordinates.to_vec(), log_weights, means, covariances, shared };
         mixture.symmetrise();
         mixture.drop_zero_weights();
         mixture.normalise("the mixture")?;

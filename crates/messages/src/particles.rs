@@ -107,7 +107,7 @@ impl Particles {
     ///
     /// Where sizes do not agree, a number is NaN, or no weight is positive.
     pub fn new(space: &Space, points: Vec<f64>, log_weights: Vec<f64>) -> Result<Self, MessageError> {
-        let Space::Continuous(coordinates) = space else {
+        let (Space::Continuous(_) | Space::Se2, Some(coordinates)) = (space, space.coordinates()) else {
             return Err(MessageError::Unsupported("particles need a continuous variable".into()));
         };
         if coordinates.is_empty() {
@@ -120,7 +120,7 @@ impl Particles {
         if let Some(&value) = points.iter().find(|value| !value.is_finite()) {
             return Err(MessageError::NotFinite { what: "a particle's coordinate", value });
         }
-        let support = Arc::new(Support { coordinates: coordinates.clone(), points, log_proposal: None });
+        let support = Arc::new(Support { coordinates: coordinates.to_vec(), points, log_proposal: None });
         let mut particles = Self { support, log_weights, role: Role::Sample };
         particles.normalise("the particles")?;
         Ok(particles)

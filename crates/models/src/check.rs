@@ -1,6 +1,8 @@
 //! A checker of users' residuals.
 
-use crate::residual::{Linearised, Residual, ResidualModel};
+use crate::residual::{Chart, Linearised, Residual, ResidualModel};
+use crate::{Expansion, Manifold};
+use sumprod_graph::Space;
 use thiserror::Error;
 
 /// A derivative that differs from the finite difference.
@@ -71,6 +73,68 @@ pub fn check_residual<R: Residual>(
             }
             column += 1;
         }
+    }
+    Ok(())
+}
+
+/// Holds what joint solves use of a residual against central differences: steps are taken in the local coordinates
+/// of the ports' spaces.
+///
+/// # Errors
+///
+/// The first derivative that differs, or is not finite; coordinates are degrees of freedom.
+///
+/// # Panics
+///
+/// Where `x` or `spaces` do not match the residual's ports.
+pub fn check_expansion<R: Residual>(
+    residual: &R,
+    spaces: &[Space],
+    x: &[&[f64]],
+    tolerance: f64,
+) -> Result<(), DerivativeMismatch> {
+    assert!(spaces.iter().map(Space::dimension).eq(x.iter().map(|x| x.len())), "one value per space");
+    let model = ResidualModel(residual);
+    let mut question = Expansion::default();
+    let mut at = |x: &[Vec<f64>], derivative: bool| {
+        question.ask(derivative);
+        question.point.extend(x.iter().flatten());
+        let answered = model.expand(&mut question);
+        assert!(answered.is_ok(), "the point matches the ports");
+        (question.residual.clone(), question.jacobian.clone(), question.chart)
+    };
+    let centre: Vec<Vec<f64>> = x.iter().map(|x| x.to_vec()).collect();
+    let (value, jacobian, chart) = at(&centre, true);
+    let m = value.len();
+    let width = jacobian.len() / m;
+    let mut start = 0;
+    for (port, space) in spaces.iter().enumerate() {
+        let (n, d) = (space.dimension(), space.degrees_of_freedom());
+        let mut steps = vec![0.0; n * d];
+        let chained = chart == Chart::Coordinates && space.step_derivative(x[port], &mut steps);
+        for coordinate in 0..d {
+            let step = f64::EPSILON.cbrt();
+            let mut moved = [centre.clone(), centre.clone()];
+            for (sign, moved) in [1.0, -1.0].into_iter().zip(&mut moved) {
+                let mut offset = vec![0.0; d];
+                offset[coordinate] = sign * step;
+                space.retract(&mut moved[port], &offset);
+            }
+            let [above, below] = moved.map(|x| at(&x, false).0);
+            for component in 0..m {
+                let row = &jacobian[component * width + start..];
+                let derivative = match chained {
+                    true => (0..n).map(|k| row[k] * steps[k * d + coordinate]).sum(),
+                    false => row[coordinate],
+                };
+                let difference = (above[component] - below[component]) / (2.0 * step);
+                let agrees = (derivative - difference).abs() <= tolerance * f64::abs(derivative).max(1.0);
+                if !agrees {
+                    return Err(DerivativeMismatch { component, port, coordinate, derivative, difference });
+                }
+            }
+        }
+        start += if chart == Chart::Local { d } else { n };
     }
     Ok(())
 }

@@ -4,8 +4,9 @@
 //! whose message is the sum of theirs. This is a clique of the junction tree: what loopy messages approximate, a
 //! cluster has exactly.
 
+use crate::Expansion;
 use crate::cloud::{Likelihood, Residuals, each_point};
-use crate::residual::{Linearised, Residual, ResidualModel};
+use crate::residual::{Chart, Linearised, Residual, ResidualModel};
 use crate::rules::{GaussianDraft, GaussianView, ParticleView, Rules};
 use crate::small::{Matrix, Vector, multiply, transpose, zero_vector, zeros};
 use sumprod_graph::{MessageError, Port, Stream};
@@ -115,6 +116,41 @@ impl Rules for Cluster {
             part.accumulate(&mean, covariance.as_deref(), &mut information, &mut vector);
         }
         Ok(GaussianDraft { information, vector, loss: 0.0 })
+    }
+
+    /// The residuals one below the other.
+    fn expand(&self, question: &mut Expansion) -> Result<(), MessageError> {
+        let d = self.dimension[0];
+        question.expect(d)?;
+        question.residual.clear();
+        question.jacobian.clear();
+        question.chart = Chart::Coordinates;
+        let mut own = Expansion::default();
+        for part in &self.parts {
+            own.ask(question.derivative);
+            own.point.extend(part.coordinates.iter().map(|&coordinate| question.point[coordinate]));
+            own.residual.resize(part.model.noise().dimension(), 0.0);
+            if own.derivative {
+                own.jacobian.resize(own.residual.len() * own.point.len(), 0.0);
+                part.model.linearise(&own.point, &mut own.residual, &mut own.jacobian);
+            } else {
+                part.model.evaluate(&own.point, &mut own.residual);
+            }
+            own.close(part.model.noise());
+            question.loss += own.loss;
+            question.log_peak += own.log_peak;
+            question.residual.extend_from_slice(&own.residual);
+            if question.derivative {
+                for row in own.jacobian.chunks_exact(own.point.len()) {
+                    let start = question.jacobian.len();
+                    question.jacobian.resize(start + d, 0.0);
+                    for (&coordinate, entry) in part.coordinates.iter().zip(row) {
+                        question.jacobian[start + coordinate] += entry;
+                    }
+                }
+            }
+        }
+        Ok(())
     }
 
     fn particles(

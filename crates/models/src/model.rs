@@ -1,7 +1,8 @@
 //! The wrapper that makes one set of rules a factor of every family.
 
-use crate::Rules;
 use crate::rules::{View, WithForm};
+use crate::{Expansion, Rules};
+use std::any::Any;
 use sumprod_graph::{Coordinate, Factor, Incoming, MessageError, Port, Stream};
 use sumprod_messages::{
     AnyForm, AnyMessage, DynamicGaussian, Gaussian, GaussianFamily, GaussianForm, MixtureFamily, MixtureForm,
@@ -52,6 +53,13 @@ impl<T: Rules> Model<T> {
     }
 }
 
+/// Answers a joint solve.
+fn answer(rules: &impl Rules, question: &mut dyn Any) -> bool {
+    let Some(question) = question.downcast_mut::<Expansion>() else { return false };
+    question.refusal = rules.expand(question).err();
+    true
+}
+
 macro_rules! gaussian_factor {
     ($family:ty $(, $dimension:ident)?) => {
         impl<T: Rules $(, const $dimension: usize)?> Factor<$family> for Model<T> {
@@ -84,6 +92,10 @@ macro_rules! gaussian_factor {
 
             fn is_constant(&self) -> bool {
                 self.0.is_constant()
+            }
+
+            fn answer(&self, question: &mut dyn Any) -> bool {
+                answer(&self.0, question)
             }
         }
     };
@@ -119,6 +131,10 @@ impl<T: Rules> Factor<Particles> for Model<T> {
     ) -> Result<(), MessageError> {
         self.particles_into(to, incoming, form, stream, out)
     }
+
+    fn answer(&self, question: &mut dyn Any) -> bool {
+        answer(&self.0, question)
+    }
 }
 
 impl<T: Rules> Factor<MixtureMessage> for Model<T> {
@@ -139,6 +155,10 @@ impl<T: Rules> Factor<MixtureMessage> for Model<T> {
 
     fn is_constant(&self) -> bool {
         self.0.is_constant()
+    }
+
+    fn answer(&self, question: &mut dyn Any) -> bool {
+        answer(&self.0, question)
     }
 }
 
@@ -186,5 +206,9 @@ impl<T: Rules> Factor<AnyMessage> for Model<T> {
 
     fn is_constant(&self) -> bool {
         self.0.is_constant()
+    }
+
+    fn answer(&self, question: &mut dyn Any) -> bool {
+        answer(&self.0, question)
     }
 }

@@ -10,7 +10,7 @@ use crate::small::{
     Matrix, Proper, Vector, WELL_CONDITIONED, check_symmetric, invert, multiply, multiply_add, proper, solve,
     symmetrise, transpose, zero_vector, zeros,
 };
-use crate::{Real, Rules};
+use crate::{Chart, Expansion, Noise, Real, Rules};
 use smallvec::SmallVec;
 use sumprod_graph::{MessageError, Port, Stream};
 use sumprod_messages::{Cholesky, MixtureForm, MixtureMessage, Moments, Particles, ParticlesForm, Proposal};
@@ -373,6 +373,33 @@ impl<T: Motion> Rules for Transition<T> {
 
     fn gaussian(&self, to: Port, view: &dyn GaussianView) -> Result<GaussianDraft, MessageError> {
         if to == 1 { self.predict(view) } else { self.retrodict(view) }
+    }
+
+    /// r = x' - f(x) with the process noise at x.
+    fn expand(&self, question: &mut Expansion) -> Result<(), MessageError> {
+        let d = self.dimensions[0];
+        question.expect(2 * d)?;
+        let (before, after) = question.point.split_at(d);
+        let covariance = self.motion.noise(before).covariance();
+        let noise = Noise::gaussian(&covariance).map_err(|error| {
+            let reason = format!(
+                "its process noise leaves directions of the state exact, which a joint solve cannot hold ({error}); \
+                 give every direction some noise"
+            );
+            MessageError::Unsupported(reason)
+        })?;
+        let (next, jacobian) = self.linearise(before);
+        let residual = after.iter().zip(&next).map(|(after, next)| after - next);
+        question.residual.clear();
+        question.residual.extend(residual);
+        question.chart = Chart::Coordinates;
+        question.jacobian.clear();
+        for row in 0..d {
+            question.jacobian.extend(jacobian[row * d..][..d].iter().map(|entry| -entry));
+            question.jacobian.extend((0..d).map(|column| f64::from(u8::from(row == column))));
+        }
+        question.close(&noise);
+        Ok(())
     }
 
     fn particles(

@@ -40,6 +40,8 @@ pub struct Noise {
     dimension: usize,
     covariance: SmallVec<[f64; 9]>,
     information: SmallVec<[f64; 9]>,
+    /// Upper triangular W with W'W the information; row-major.
+    whitening: SmallVec<[f64; 9]>,
     degrees_of_freedom: Option<f64>,
     log_normaliser: f64,
 }
@@ -61,7 +63,8 @@ impl Noise {
         factor.inverse(&mut information);
         let log_normaliser = -0.5 * (dimension as f64 * TAU.ln() + factor.log_determinant());
         let covariance = SmallVec::from_slice(covariance);
-        Ok(Self { dimension, covariance, information, degrees_of_freedom: None, log_normaliser })
+        let whitening = upper_root(&information, dimension)?;
+        Ok(Self { dimension, covariance, information, whitening, degrees_of_freedom: None, log_normaliser })
     }
 
     /// Independent Gaussian noise of these variances.
@@ -141,8 +144,27 @@ impl Noise {
     }
 
     /// The largest log density there is, that of a zero residual.
-    pub(crate) fn log_peak(&self) -> f64 {
+    pub fn log_peak(&self) -> f64 {
         self.log_normaliser
+    }
+
+    /// Multiplies a matrix of as many rows as the noise has components (row-major) by W, W'W = R⁻¹: residuals become
+    /// independent with unit variance. In place.
+    #[inline]
+    pub fn whiten(&self, rows: &mut [f64]) {
+        let d = self.dimension;
+        let columns = rows.len() / d;
+        for row in 0..d {
+            let (head, below) = rows[row * columns..].split_at_mut(columns);
+            let own = self.whitening[row * d + row];
+            head.iter_mut().for_each(|entry| *entry *= own);
+            for (offset, other) in below.chunks_exact(columns).enumerate() {
+                let weight = self.whitening[row * d + row + 1 + offset];
+                if weight != 0.0 {
+                    head.iter_mut().zip(other).for_each(|(entry, other)| *entry += weight * other);
+                }
+            }
+        }
     }
 
     /// Squared Mahalanobis length r'R⁻¹r.
@@ -173,6 +195,20 @@ impl Noise {
             Some(nu) => (nu + self.dimension as f64) / (nu + squared_length),
         }
     }
+}
+
+/// The transposed Cholesky factor of a symmetric positive definite matrix (row-major).
+fn upper_root(matrix: &[f64], dimension: usize) -> Result<SmallVec<[f64; 9]>, MessageError> {
+    let factor = Cholesky::new(matrix, dimension, "the inverse of the noise covariance")?;
+    let mut root = SmallVec::from_elem(0.0, dimension * dimension);
+    for column in 0..dimension {
+        let (mut unit, mut image): (SmallVec<[f64; 6]>, SmallVec<[f64; 6]>) =
+            (SmallVec::from_elem(0.0, dimension), SmallVec::from_elem(0.0, dimension));
+        unit[column] = 1.0;
+        factor.multiply_lower(&unit, &mut image);
+        root[column * dimension..][..dimension].copy_from_slice(&image);
+    }
+    Ok(root)
 }
 
 /// Log gamma function by Lanczos' series with g = 7 and nine terms; relative error below 1e-14 for x > 0.

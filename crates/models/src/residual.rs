@@ -1,9 +1,9 @@
 //! Measurements and constraints: a function that should be zero, and its noise.
 
 use crate::dual::{Lanes, differentiate};
-use crate::{Noise, Real};
+use crate::{Expansion, Noise, Real};
 use smallvec::SmallVec;
-use sumprod_graph::{FastStream, Port, wrap_angle};
+use sumprod_graph::{FastStream, MessageError, Port, wrap_angle};
 
 /// Draws one port's variable given the others: a ring around an anchor, a relative step.
 pub trait PortSampler: Send + Sync {
@@ -62,6 +62,23 @@ pub trait Residual: Send + Sync {
         &[]
     }
 
+    /// Degrees of freedom of each port: fewer than its dimension where it is a pose in space.
+    fn degrees_of_freedom(&self) -> &[usize] {
+        self.dimensions()
+    }
+
+    /// Writes the residual and its derivative (row-major, one column per coordinate or degree of freedom of the
+    /// ports, one after the other) in closed form, and says which; none where dual numbers are to find it.
+    fn closed_form(&self, _x: &[&[f64]], _residual: &mut [f64], _jacobian: &mut [f64]) -> Option<Chart> {
+        None
+    }
+
+    /// A known place that the residual refers to (m), for instance an anchor's: what tells a world from its mirror
+    /// image.
+    fn known_place(&self) -> Option<&[f64]> {
+        None
+    }
+
     /// A sampler for a port, used where the receiver has no particles yet.
     fn sampler(&self, _port: Port) -> Option<&dyn PortSampler> {
         None
@@ -95,6 +112,28 @@ impl<R: Residual> Residual for &R {
     fn sampler(&self, port: Port) -> Option<&dyn PortSampler> {
         (**self).sampler(port)
     }
+
+    fn degrees_of_freedom(&self) -> &[usize] {
+        (**self).degrees_of_freedom()
+    }
+
+    fn closed_form(&self, x: &[&[f64]], residual: &mut [f64], jacobian: &mut [f64]) -> Option<Chart> {
+        (**self).closed_form(x, residual, jacobian)
+    }
+
+    fn known_place(&self) -> Option<&[f64]> {
+        (**self).known_place()
+    }
+}
+
+/// What the columns of a derivative stand for.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Chart {
+    /// The stored coordinates of the ports' variables.
+    #[default]
+    Coordinates,
+    /// Steps in the local coordinates of the ports' variables; of a pose, in its own frame.
+    Local,
 }
 
 /// A residual behind a pointer: what the Gaussian rules need of it.
@@ -163,12 +202,57 @@ impl<R: Residual> Linearised for ResidualModel<R> {
 
     fn linearise(&self, x: &[f64], residual: &mut [f64], jacobian: &mut [f64]) {
         let dimensions = self.0.dimensions();
+        let known = self.0.degrees_of_freedom() == dimensions
+            && self.0.closed_form(&ports(x, dimensions), residual, jacobian) == Some(Chart::Coordinates);
+        if known {
+            return wrap(self.0.angles(), residual);
+        }
+        self.differentiate(x, residual, jacobian);
+    }
+
+    fn angles(&self) -> &[usize] {
+        self.0.angles()
+    }
+}
+
+impl<R: Residual> ResidualModel<R> {
+    fn differentiate(&self, x: &[f64], residual: &mut [f64], jacobian: &mut [f64]) {
+        let dimensions = self.0.dimensions();
         let evaluate = |x: &[Lanes], out: &mut [Lanes]| self.0.residual(&ports(x, dimensions), out);
         differentiate(x, residual, jacobian, evaluate);
         wrap(self.0.angles(), residual);
     }
 
-    fn angles(&self) -> &[usize] {
-        self.0.angles()
+    /// The answer to a joint solve's question.
+    pub(crate) fn expand(&self, question: &mut Expansion) -> Result<(), MessageError> {
+        let (dimensions, freedoms) = (self.0.dimensions(), self.0.degrees_of_freedom());
+        let noise = self.0.noise();
+        let m = noise.dimension();
+        let (wide, narrow) = (dimensions.iter().sum::<usize>(), freedoms.iter().sum::<usize>());
+        question.expect(wide)?;
+        let Expansion { point, derivative, residual, jacobian, chart, places, .. } = &mut *question;
+        residual.resize(m, 0.0);
+        if let Some(place) = self.0.known_place() {
+            places.push(place.to_vec());
+        }
+        if !*derivative {
+            self.evaluate(point, residual);
+            question.close(noise);
+            return Ok(());
+        }
+        jacobian.resize(m * wide.max(narrow), 0.0);
+        match self.0.closed_form(&ports(point, dimensions), residual, jacobian) {
+            Some(found) => {
+                *chart = found;
+                wrap(self.0.angles(), residual);
+            }
+            None => {
+                *chart = Chart::Coordinates;
+                self.differentiate(point, residual, jacobian);
+            }
+        }
+        jacobian.truncate(m * if *chart == Chart::Local { narrow } else { wide });
+        question.close(noise);
+        Ok(())
     }
 }

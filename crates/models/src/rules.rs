@@ -6,6 +6,7 @@ pub(crate) mod mixture;
 pub(crate) mod particles;
 mod selection;
 
+use crate::Expansion;
 use crate::small::{multiply_add, proper, zero_vector, zeros};
 use smallvec::SmallVec;
 use std::f64::consts::TAU;
@@ -127,6 +128,16 @@ pub trait Rules: Send + Sync {
         _stream: &mut Stream,
     ) -> Result<(MixtureMessage, f64), MessageError> {
         mixture::gaussian(self, to, view)
+    }
+
+    /// The residual and its derivative, for joint solves.
+    ///
+    /// # Errors
+    ///
+    /// Where the factor has none.
+    fn expand(&self, _question: &mut Expansion) -> Result<(), MessageError> {
+        let reason = "it has rules for messages alone; give it a residual to solve it jointly with others";
+        Err(MessageError::Unsupported(reason.into()))
     }
 
     /// Whether a message to a single port never changes.

@@ -26,10 +26,7 @@ impl Message for Particles {
     const EXACT_QUOTIENT: bool = true;
 
     fn vacuous(space: &Space) -> Self {
-        let coordinates = match space {
-            Space::Continuous(coordinates) => coordinates.clone(),
-            Space::Finite(_) => Vec::new(),
-        };
+        let coordinates = space.coordinates().unwrap_or_default().to_vec();
         let support = Support { coordinates, points: Vec::new(), log_proposal: None };
         Self { support: Arc::new(support), log_weights: Vec::new(), role: Role::Sample }
     }
@@ -142,7 +139,8 @@ impl Message for Particles {
             Space::Continuous(coordinates) if coordinates.is_empty() => {
                 Err("particles cannot hold a variable without coordinates".into())
             }
-            Space::Continuous(_) => Ok(()),
+            Space::Continuous(_) | Space::Se2 => Ok(()),
+            Space::Se3 => Err("particles cannot hold a pose in space: a mean of quaternions is none".into()),
             Space::Finite(states) => Err(format!("particles cannot hold a variable of {states} states")),
         }
     }

@@ -70,6 +70,10 @@ impl Residual for Bearing {
         out[0] = direction(offset(x, self.target)) - x[0][2] - self.measured;
     }
 
+    fn known_place(&self) -> Option<&[f64]> {
+        self.target.as_ref().map(<[f64; 2]>::as_slice)
+    }
+
     fn angles(&self) -> &[usize] {
         &[0]
     }
@@ -126,6 +130,10 @@ impl Residual for RangeBearing {
         let [east, north] = offset(x, self.target);
         out[0] = distance(east, north) - self.measured[0];
         out[1] = direction([east, north]) - x[0][2] - self.measured[1];
+    }
+
+    fn known_place(&self) -> Option<&[f64]> {
+        self.target.as_ref().map(<[f64; 2]>::as_slice)
     }
 
     fn angles(&self) -> &[usize] {

@@ -1,7 +1,7 @@
 //! Linear-Gaussian factors of any arity.
 
 use super::checks::{finite, size};
-use crate::{Noise, Real, Residual};
+use crate::{Chart, Noise, Real, Residual};
 use sumprod_graph::MessageError;
 
 /// Σₖ Aₖ xₖ ~ N(b, R): r(x) = Σₖ Aₖ xₖ - b.
@@ -63,6 +63,19 @@ impl Residual for LinearGaussian {
             }
             *out = sum;
         }
+    }
+
+    fn closed_form(&self, x: &[&[f64]], residual: &mut [f64], jacobian: &mut [f64]) -> Option<Chart> {
+        self.residual(x, residual);
+        let wide = self.dimensions.iter().sum::<usize>();
+        for (row, entries) in jacobian.chunks_exact_mut(wide).enumerate() {
+            let mut start = 0;
+            for (matrix, &d) in self.matrices.iter().zip(&self.dimensions) {
+                entries[start..start + d].copy_from_slice(&matrix[row * d..][..d]);
+                start += d;
+            }
+        }
+        Some(Chart::Coordinates)
     }
 }
 

@@ -16,22 +16,28 @@ pub(super) const TOUCHING: f64 = 1e-9;
 /// The length of the vector (x, y), for residuals of points in the plane: its derivatives are finite everywhere.
 #[inline(always)]
 pub fn distance<T: Real>(x: T, y: T) -> T {
-    let squared = x * x + y * y;
+    length([x, y])
+}
+
+/// The length of a vector; its derivatives are finite everywhere.
+#[inline]
+fn length<T: Real, const N: usize>(offset: [T; N]) -> T {
+    let squared = offset.into_iter().fold(T::from(0.0), |sum, x| sum + x * x);
     // At coincident points the derivative of the root does not exist; the direction is left open.
     // Particles need no derivative.
     if !is_packed::<T>() && squared.re() < TOUCHING * TOUCHING { squared } else { squared.sqrt() }
 }
 
-/// The measured distance z between two positions: r = |p₁ - p₀| - z.
+/// The measured distance z between two positions, in the plane or in `N` dimensions: r = |p₁ - p₀| - z.
 #[derive(Clone, Debug)]
-pub struct Range {
+pub struct Range<const N: usize = 2> {
     measured: f64,
     dimensions: [usize; 2],
-    positions: [[usize; 2]; 2],
+    positions: [[usize; N]; 2],
     noise: Noise,
 }
 
-impl Range {
+impl<const N: usize> Range<N> {
     /// A range (m) between two variables of these dimensions, whose positions are at these coordinates.
     ///
     /// # Errors
@@ -40,7 +46,7 @@ impl Range {
     pub fn new(
         measured: f64,
         dimensions: [usize; 2],
-        positions: [[usize; 2]; 2],
+        positions: [[usize; N]; 2],
         noise: Noise,
     ) -> Result<Self, MessageError> {
         finite("the measured range", &[measured])?;
@@ -51,7 +57,7 @@ impl Range {
     }
 }
 
-impl Residual for Range {
+impl<const N: usize> Residual for Range<N> {
     fn dimensions(&self) -> &[usize] {
         &self.dimensions
     }
@@ -63,7 +69,7 @@ impl Residual for Range {
     #[inline]
     fn residual<T: Real>(&self, x: &[&[T]], out: &mut [T]) {
         let [a, b] = self.positions;
-        out[0] = distance(x[1][b[0]] - x[0][a[0]], x[1][b[1]] - x[0][a[1]]) - self.measured;
+        out[0] = length(std::array::from_fn::<T, N, _>(|k| x[1][b[k]] - x[0][a[k]])) - self.measured;
     }
 
     fn ring(&self, port: Port) -> Option<Ring> {
@@ -122,6 +128,10 @@ impl Residual for AnchorRange {
 
     fn noise(&self) -> &Noise {
         &self.noise
+    }
+
+    fn known_place(&self) -> Option<&[f64]> {
+        Some(&self.anchor)
     }
 
     #[inline]
@@ -190,6 +200,10 @@ impl Residual for CalibratedRange {
 
     fn noise(&self) -> &Noise {
         &self.noise
+    }
+
+    fn known_place(&self) -> Option<&[f64]> {
+        Some(&self.anchor)
     }
 
     #[inline]

@@ -6,7 +6,7 @@ use crate::rules::exponential::{sum_of_exponentials, sum_of_gaussians};
 use crate::rules::selection::select;
 use crate::rules::{GaussianDraft, GaussianView, MixtureView, ParticleView, Rules, linearised, mixture};
 use crate::small::{Matrix, Vector, multiply, multiply_add, symmetrise, transpose, zero_vector, zeros};
-use crate::{Linearised, Motion, ProcessNoise, Residual};
+use crate::{Expansion, Linearised, Motion, ProcessNoise, Residual};
 use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
 use smallvec::SmallVec;
@@ -21,7 +21,16 @@ impl<R: Residual> Rules for ResidualModel<R> {
     }
 
     fn gaussian(&self, to: Port, view: &dyn GaussianView) -> Result<GaussianDraft, MessageError> {
+        if self.0.degrees_of_freedom() != self.0.dimensions() {
+            let reason = "a pose in space has no Gaussian over its quaternion; solve the graph jointly, or pass \
+                          messages on its linear form (exact::Problem::linear_graph)";
+            return Err(MessageError::Unsupported(reason.into()));
+        }
         linearised::message(self, to, view)
+    }
+
+    fn expand(&self, question: &mut Expansion) -> Result<(), MessageError> {
+        ResidualModel::expand(self, question)
     }
 
     /// At the receiver's particles xₙ, the log of Σₘ wₘ p(r(xₙ, yₘ)) over the senders' particles yₘ (particle

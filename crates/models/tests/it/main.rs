@@ -14,6 +14,7 @@ mod lattice;
 mod mixtures;
 mod noise;
 mod pairs;
+mod poses;
 mod particles;
 mod range_clique;
 mod rigid;
