@@ -1,1 +1,51 @@
-//! Exact.
+//! Exact answers on factor graphs: what every approximate answer is held against.
+//!
+//! A [`Problem`] is any graph of Gaussian messages whose factors have residuals. [`Problem::solve`] finds the minimum of its
+//! cost, which for a linear graph is its mean, by sparse Cholesky factors; the [`Solution`] then gives the covariance of any
+//! variables ([`Solution::marginals`] of all, [`Solution::joint`] of a few together) and the evidence
+//! ([`Solution::log_evidence`]). [`observability`] says why a graph cannot be solved.
+//!
+//! ```
+//! use sumprod_exact::{Problem, SolveOptions};
+//! use sumprod_graph::{FactorGraph, Space};
+//! use sumprod_messages::DynamicGaussian;
+//! use sumprod_models::library::LinearGaussian;
+//! use sumprod_models::{AddModel, Noise};
+//!
+//! // x ~ N(1, 4), y - x ~ N(2, 1).
+//! let mut graph = FactorGraph::<DynamicGaussian>::new();
+//! let (x, y) = (graph.variable("x", Space::real(1))?, graph.variable("y", Space::real(1))?);
+//! graph.add("prior", LinearGaussian::new(&[&[1.0]], &[1.0], Noise::isotropic(1, 4.0)?)?, &[x])?;
+//! graph.add("step", LinearGaussian::new(&[&[-1.0], &[1.0]], &[2.0], Noise::isotropic(1, 1.0)?)?, &[x, y])?;
+//!
+//! let problem = Problem::new(&graph)?;
+//! let mut solution = problem.solve(problem.start(), &SolveOptions::default())?;
+//! let answer = solution.marginal(y)?;
+//! assert!((answer.mean[0] - 3.0).abs() < 1e-12 && (answer.covariance[0] - 5.0).abs() < 1e-12);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+
+mod cholesky;
+mod chordal;
+mod components;
+mod error;
+mod kernel;
+mod linear_graph;
+mod normal;
+pub mod observability;
+mod problem;
+pub mod read;
+mod selected;
+mod solution;
+mod solve;
+mod structure;
+mod values;
+
+pub use chordal::chordal_start;
+pub use error::ExactError;
+pub use kernel::Kernel;
+pub use problem::Problem;
+pub use solution::{Marginals, Solution};
+pub use solve::{Optimizer, SolveOptions, SolveReport, Solver};
+pub use structure::Ordering;
+pub use values::Values;

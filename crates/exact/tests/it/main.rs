@@ -1,0 +1,9 @@
+//! Exact answers against recorded ones and against dense algebra.
+#![allow(clippy::unwrap_used, clippy::panic, clippy::expect_used)]
+
+mod dense;
+mod golden;
+mod malformed;
+mod observability;
+mod pose_graphs;
+mod support;
