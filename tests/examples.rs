@@ -16,6 +16,8 @@ mod own_message;
 mod own_schedule;
 #[path = "../examples/p_mpa.rs"]
 mod p_mpa;
+#[path = "../examples/pose_graph.rs"]
+mod pose_graph;
 #[path = "../examples/swap_forms.rs"]
 mod swap_forms;
 
@@ -39,6 +41,7 @@ mod of {
         own_message,
         own_schedule,
         p_mpa,
+        pose_graph,
         swap_forms
     );
 }

@@ -23,6 +23,7 @@ pub const BUILTINS: &[Builtin] = &[
     Builtin { name: "kcpf-growth", text: include_str!("../scenarios/kcpf-growth.toml") },
     Builtin { name: "kcpf-turn", text: include_str!("../scenarios/kcpf-turn.toml") },
     Builtin { name: "wsn-walk", text: include_str!("../scenarios/wsn-walk.toml") },
+    Builtin { name: "graph", text: include_str!("../scenarios/graph.toml") },
     #[cfg(test)]
     Builtin { name: "walk", text: include_str!("testing/walk.toml") },
 ];

@@ -1,6 +1,7 @@
 //! The one list of systems: which Rust type reads and runs the scenario files of which `system`.
 
 use sumprod_positioning::cooperation::Cooperation;
+use sumprod_positioning::graphs::Graphs;
 use sumprod_positioning::kcpf::growth::Growth;
 use sumprod_positioning::kcpf::turn::Turn;
 use sumprod_positioning::pmpa::PMpa;
@@ -36,6 +37,7 @@ pub const SYSTEMS: &[&str] = &[
     Growth::SYSTEM,
     Turn::SYSTEM,
     RadioWalk::SYSTEM,
+    Graphs::SYSTEM,
     #[cfg(test)]
     crate::testing::Walk::SYSTEM,
 ];
@@ -53,6 +55,7 @@ pub fn dispatch<A: Action>(document: &Document, action: A) -> Result<A::Output, 
         Growth::SYSTEM => action.on::<Growth>(document),
         Turn::SYSTEM => action.on::<Turn>(document),
         RadioWalk::SYSTEM => action.on::<RadioWalk>(document),
+        Graphs::SYSTEM => action.on::<Graphs>(document),
         #[cfg(test)]
         crate::testing::Walk::SYSTEM => action.on::<crate::testing::Walk>(document),
         unknown => {

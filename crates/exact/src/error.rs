@@ -25,6 +25,14 @@ pub enum ExactError {
         /// The reason.
         source: MessageError,
     },
+    /// A belief that messages leave without a covariance.
+    #[error("the belief of variable {variable:?} is no distribution: {source}; allow more rounds of messages")]
+    Belief {
+        /// The variable.
+        variable: String,
+        /// The reason.
+        source: MessageError,
+    },
     /// A variable that no Gaussian holds.
     #[error("variable {variable:?} has {states} states; a joint Gaussian solve needs continuous variables")]
     Finite {

@@ -25,8 +25,12 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod answer;
+mod belief;
+mod bethe;
 mod cholesky;
 mod chordal;
+mod compare;
 mod components;
 mod error;
 mod kernel;
@@ -41,7 +45,11 @@ mod solve;
 mod structure;
 mod values;
 
+pub use answer::{Answer, Deviation};
+pub use belief::{BeliefOptions, Beliefs};
+pub use bethe::bethe_log_evidence;
 pub use chordal::chordal_start;
+pub use compare::{Comparison, ComparisonRow, compare};
 pub use error::ExactError;
 pub use kernel::Kernel;
 pub use problem::Problem;

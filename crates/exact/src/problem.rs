@@ -323,6 +323,20 @@ impl<'g> Problem<'g> {
         out.chart = Chart::Local;
     }
 
+    /// Values moved by a step in local coordinates, all variables one after the other.
+    ///
+    /// # Errors
+    ///
+    /// Where sizes do not agree.
+    pub fn moved(&self, values: &Values, step: &[f64]) -> Result<Values, ExactError> {
+        let (found, expected) = (step.len(), self.degrees_of_freedom());
+        if found != expected || values.layout != self.layout {
+            let reason = format!("a step of {found} numbers does not suit values of {expected} degrees of freedom");
+            return Err(ExactError::Request(reason));
+        }
+        Ok(values.retracted(step))
+    }
+
     /// The sum of all factors' losses at these values.
     ///
     /// # Errors

@@ -5,7 +5,7 @@ use crate::normal::Normal;
 use crate::observability;
 use crate::selected;
 use crate::structure::Structure;
-use crate::{ExactError, Problem, SolveReport, Values};
+use crate::{Answer, ExactError, Problem, SolveReport, Values};
 use std::f64::consts::TAU;
 use std::sync::Arc;
 use sumprod_graph::VariableId;
@@ -114,6 +114,18 @@ impl<'p> Solution<'p> {
             }
         });
         Ok(Marginals { pointer, entries })
+    }
+
+    /// Values and covariances of all variables.
+    ///
+    /// # Errors
+    ///
+    /// As [`Solution::marginals`].
+    pub fn answer(&mut self) -> Result<Answer, ExactError> {
+        let marginals = self.marginals()?;
+        let of = |&variable: &VariableId| marginals.covariance(variable).to_vec();
+        let covariances = Some(self.problem.variables().iter().map(of).collect());
+        Ok(Answer { values: self.values.clone(), covariances })
     }
 
     /// Mean (stored coordinates) and covariance (local coordinates, row-major) of one variable.

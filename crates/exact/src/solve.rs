@@ -61,8 +61,10 @@ pub struct SolveReport {
     pub cost: f64,
 }
 
+/// The damping with which a full step that fails is repaired first.
+const FIRST_DAMPING: f64 = 1e-8;
 /// The smallest damping that is not zero.
-const LEAST_DAMPING: f64 = 1e-6;
+const LEAST_DAMPING: f64 = 1e-11;
 /// The damping beyond which no step helps.
 const MOST_DAMPING: f64 = 1e12;
 
@@ -138,6 +140,8 @@ struct Descent<'p, 'o> {
     numeric: Numeric,
     damped: Vec<f64>,
     damping: f64,
+    /// By which the next failure multiplies the damping.
+    growth: f64,
     radius: f64,
     /// Whether the factor is that of the undamped information at `here`, or at the point before.
     undamped: bool,
@@ -163,6 +167,7 @@ impl<'p, 'o> Descent<'p, 'o> {
             numeric,
             damped: Vec::new(),
             damping: 0.0,
+            growth: 4.0,
             radius: f64::INFINITY,
             undamped: false,
         })
@@ -230,7 +235,7 @@ impl<'p, 'o> Descent<'p, 'o> {
             self.numeric.factorise(&structure.symbolic, &structure.column_pointer, &structure.row_index, lower);
         if let Err(row) = factored {
             if self.options.optimizer == Optimizer::LevenbergMarquardt && self.damping < 1e3 {
-                self.damping = (10.0 * self.damping).max(LEAST_DAMPING);
+                self.damping = (10.0 * self.damping).max(FIRST_DAMPING);
                 return Ok(None);
             }
             return Err(self.singular(row));
@@ -283,10 +288,10 @@ impl<'p, 'o> Descent<'p, 'o> {
     /// A x from the lower triangle.
     fn multiply(&self, x: &[f64]) -> Vec<f64> {
         let mut out = vec![0.0; x.len()];
-        for column in 0..x.len() {
+        for (column, &own) in x.iter().enumerate() {
             let range = self.structure.column_pointer[column]..self.structure.column_pointer[column + 1];
             for (&row, &entry) in self.structure.row_index[range.clone()].iter().zip(&self.here.lower[range]) {
-                out[row] += entry * x[column];
+                out[row] += entry * own;
                 if row != column {
                     out[column] += entry * x[row];
                 }
@@ -298,7 +303,10 @@ impl<'p, 'o> Descent<'p, 'o> {
     fn shrink(&mut self, step: &Step) {
         match self.options.optimizer {
             Optimizer::Dogleg => self.radius = 0.25 * self.radius.min(norm(&step.change)),
-            _ => self.damping = (10.0 * self.damping).max(1e-4),
+            _ => {
+                self.damping = (self.growth * self.damping).max(FIRST_DAMPING);
+                self.growth *= 2.0;
+            }
         }
     }
 
@@ -306,8 +314,10 @@ impl<'p, 'o> Descent<'p, 'o> {
         match self.options.optimizer {
             Optimizer::Dogleg if gain > 0.75 => self.radius = self.radius.max(3.0 * norm(&step.change)),
             Optimizer::Dogleg if gain < 0.25 => self.radius = 0.5 * norm(&step.change),
-            Optimizer::LevenbergMarquardt if gain > 0.25 => {
-                self.damping /= 10.0;
+            Optimizer::LevenbergMarquardt => {
+                // Nielsen (1999): by how well the model foretold the decrease.
+                self.damping *= (1.0 - (2.0 * gain - 1.0).powi(3)).max(0.1);
+                self.growth = 4.0;
                 if self.damping < LEAST_DAMPING {
                     self.damping = 0.0;
                 }

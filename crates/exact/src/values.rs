@@ -25,11 +25,21 @@ impl Values {
 
     /// The stored coordinates of a variable; empty where the handle is of another graph.
     pub fn get(&self, variable: VariableId) -> &[f64] {
-        if variable.index() < self.layout.variables() {
-            &self.numbers[self.layout.range(variable.index())]
-        } else {
-            &[]
-        }
+        self.at(variable.index())
+    }
+
+    /// The stored coordinates of the variable of this number; empty where there is none.
+    pub fn at(&self, index: usize) -> &[f64] {
+        if index < self.layout.variables() { &self.numbers[self.layout.range(index)] } else { &[] }
+    }
+
+    /// The space of the variable of this number.
+    ///
+    /// # Panics
+    ///
+    /// Where there is none.
+    pub fn space(&self, index: usize) -> &Space {
+        self.layout.space(index)
     }
 
     /// Sets a variable; angles are wrapped and quaternions brought to unit length.

@@ -50,6 +50,13 @@ pub enum PositioningError {
         remedy: String,
     },
 
+    /// A graph that has no answer.
+    #[error("{problem}")]
+    Unsolvable {
+        /// What stands in the way, and the remedy.
+        problem: String,
+    },
+
     /// A method produced an estimate that no metric can be computed from.
     #[error("method `{method}`, step {step}, node {node}: {problem}")]
     Estimate {
@@ -131,6 +138,7 @@ impl PositioningError {
             | Self::UnknownMethod { .. }
             | Self::Data { .. }
             | Self::Unconstrained { .. }
+            | Self::Unsolvable { .. }
             | Self::InUse { .. } => true,
             Self::Run { source, .. } => source.is_input(),
             Self::Estimate { .. } | Self::Method { .. } | Self::Results { .. } | Self::File { .. } => false,

@@ -23,6 +23,7 @@ mod costs;
 mod driven;
 pub mod error;
 pub mod form;
+pub mod graphs;
 pub mod kcpf;
 pub mod metrics;
 pub mod pmpa;

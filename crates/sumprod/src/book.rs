@@ -18,6 +18,8 @@ chapters! {
     Schedules: "../../../docs/src/schedules.md",
     Time: "../../../docs/src/time.md",
     Filters: "../../../docs/src/filters.md",
+    Exact: "../../../docs/src/exact.md",
+    Observability: "../../../docs/src/observability.md",
     Reproducibility: "../../../docs/src/reproducibility.md",
     Diagnostics: "../../../docs/src/diagnostics.md",
     Extending: "../../../docs/src/extending.md",

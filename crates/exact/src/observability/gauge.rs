@@ -14,7 +14,7 @@ const NAMED: f64 = 1e-4;
 
 /// How a variable's position lies in its coordinates.
 #[derive(Clone, Copy, PartialEq)]
-enum Place {
+pub(super) enum Place {
     Plane { position: [usize; 2], velocity: Option<[usize; 2]>, heading: Option<usize> },
     PosePlane,
     Point,
@@ -23,7 +23,7 @@ enum Place {
 
 impl Place {
     /// What a space's coordinates may mean; whether they do is tried on the factors.
-    fn of(space: &Space) -> Option<Self> {
+    pub(super) fn of(space: &Space) -> Option<Self> {
         use Coordinate::{Angle, Real};
         let plane = |position, velocity, heading| Some(Self::Plane { position, velocity, heading });
         match space {

@@ -162,6 +162,12 @@ impl GraphFile {
         Ok(())
     }
 
+    /// Whether every factor is linear and every variable real.
+    pub fn is_linear(&self) -> bool {
+        let linear = |factor: &FileFactor| matches!(factor.measurement, Measurement::Linear(..) | Measurement::Prior(_));
+        !self.has_poses() && self.factors.iter().all(linear)
+    }
+
     /// Whether a factor refers to a place of the world.
     pub fn has_priors(&self) -> bool {
         self.factors.iter().any(|factor| matches!(factor.measurement, Measurement::Prior(_)))
