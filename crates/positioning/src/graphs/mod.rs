@@ -173,6 +173,14 @@ fn input(error: ExactError) -> PositioningError {
     }
 }
 
+/// A failing solve: the input's fault where the graph has no answer, else the method's.
+fn solving(id: &str, error: ExactError) -> PositioningError {
+    match error {
+        ExactError::NotConverged { .. } => PositioningError::method(id, error),
+        other => input(other),
+    }
+}
+
 impl Scenario for Graphs {
     const SYSTEM: &'static str = "graph";
     const READS_DATA: bool = true;
@@ -211,18 +219,27 @@ impl Scenario for Graphs {
     fn run(&self, prepared: &Prepared, request: RunRequest<'_>) -> Result<RunResult, PositioningError> {
         let mut methods = Vec::with_capacity(request.methods.len());
         let mut answers: Vec<(String, Answer)> = Vec::new();
+        let mut failed = None;
         for id in request.methods {
             let settings = self.method(id)?;
             let mut answer = None;
             let run = MethodRun::timed(id, marginals::layout(), |out| {
-                answer = Some(settings.run(prepared, out).map_err(|error| match input(error) {
-                    error @ PositioningError::Unsolvable { .. } => error,
-                    other => PositioningError::method(id, other),
-                })?);
-                Ok::<(), PositioningError>(())
+                match settings.run(prepared, out) {
+                    Ok(found) => answer = Some(found),
+                    // Messages may fail where a joint solve does not; the others' answers stand.
+                    Err(error) if settings.inference == Inference::GaussianBp => {
+                        out.notes.push(format!("no answer: {error}"));
+                        failed = Some(PositioningError::method(id, error));
+                    }
+                    Err(error) => return Err(solving(id, error)),
+                }
+                Ok(())
             })?;
             methods.push(run);
             answers.extend(answer.map(|answer| (id.clone(), answer)));
+        }
+        if let (true, Some(error)) = (answers.is_empty(), failed) {
+            return Err(error);
         }
         let joint = |(id, _): &&(String, Answer)| {
             self.method.get(id).is_some_and(|method| method.inference == Inference::Joint)
