@@ -20,12 +20,12 @@ fn square() -> Result<(FactorGraph<DynamicGaussian>, Vec<VariableId>), Error> {
     let odometry = Noise::diagonal(&[0.04, 0.04, 0.01])?;
     for pair in poses.windows(2) {
         // The wheels slip: half a degree too much at every corner.
-        let step = RelativePose::<Pose2>::new(&[10.0, 0.0, FRAC_PI_2 + 0.01], PoseResidual::Log, odometry.clone())?;
+        let step = RelativePose::new([10.0, 0.0, FRAC_PI_2 + 0.01], odometry.clone())?;
         graph.add("odometry", step, pair)?;
     }
     let seen = Noise::diagonal(&[0.01, 0.01, 0.001])?;
     for k in 0..CORNERS - 4 {
-        let same = RelativePose::<Pose2>::new(&[0.0, 0.0, 0.0], PoseResidual::Log, seen.clone())?;
+        let same = RelativePose::new([0.0, 0.0, 0.0], seen.clone())?;
         graph.add("seen again", same, &[poses[k], poses[k + 4]])?;
     }
     Ok((graph, poses))
@@ -39,7 +39,7 @@ pub fn main() -> Result<(), Error> {
         _ => return Err("a graph without an anchor was solved".into()),
     }
 
-    let held = PosePrior::<Pose2>::new(&[0.0; 3], Noise::isotropic(3, 1e-6)?)?;
+    let held = PosePrior::new([0.0; 3], Noise::isotropic(3, 1e-6)?)?;
     graph.add("anchor", held, &poses[..1])?;
     let problem = Problem::new(&graph)?;
     let mut start = problem.start();

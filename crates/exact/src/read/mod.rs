@@ -22,8 +22,9 @@ use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use sumprod_graph::{FactorGraph, Space, VariableId};
 use sumprod_messages::DynamicGaussian;
-use sumprod_models::library::{LinearGaussian, PointInFrame, PosePrior, PoseResidual, Prior, Range, RelativePose};
-use sumprod_models::pose::{Pose2, Pose3};
+use sumprod_models::library::{
+    LinearGaussian, PointInFrame, PosePrior, PosePrior3, PoseResidual, Prior, Range, RelativePose, RelativePose3,
+};
 use sumprod_models::{AddModel, Manifold, Noise};
 
 /// A variable of a file.
@@ -211,14 +212,16 @@ impl GraphFile {
         let spatial = spaces.first() == Some(&Space::Se3);
         let added = match &factor.measurement {
             Measurement::RelativePose(z) if spatial => {
-                graph.add("relative pose", RelativePose::<Pose3>::new(z, form, noise).map_err(words)?, ports)
+                let factor = RelativePose3::new(fixed(z)?, noise).map_err(words)?;
+                graph.add("relative pose", factor.with_form(form), ports)
             }
             Measurement::RelativePose(z) => {
-                graph.add("relative pose", RelativePose::<Pose2>::new(z, form, noise).map_err(words)?, ports)
+                let factor = RelativePose::new(fixed(z)?, noise).map_err(words)?;
+                graph.add("relative pose", factor.with_form(form), ports)
             }
             Measurement::Prior(mean) => match &spaces[0] {
-                Space::Se3 => graph.add("prior", PosePrior::<Pose3>::new(mean, noise).map_err(words)?, ports),
-                Space::Se2 => graph.add("prior", PosePrior::<Pose2>::new(mean, noise).map_err(words)?, ports),
+                Space::Se3 => graph.add("prior", PosePrior3::new(fixed(mean)?, noise).map_err(words)?, ports),
+                Space::Se2 => graph.add("prior", PosePrior::new(fixed(mean)?, noise).map_err(words)?, ports),
                 space => graph.add("prior", Prior::new(space, mean, noise).map_err(words)?, ports),
             },
             Measurement::Point(z) => {
@@ -259,4 +262,9 @@ impl GraphFile {
         }
         Ok(Some(values))
     }
+}
+
+/// Numbers as an array of their own length.
+fn fixed<const N: usize>(numbers: &[f64]) -> Result<[f64; N], String> {
+    numbers.try_into().map_err(|_| format!("a pose of {} numbers, expected {N}", numbers.len()))
 }

@@ -8,7 +8,7 @@ use sumprod_exact::{Kernel, Optimizer, Ordering, Problem, SolveOptions, Solver, 
 use sumprod_graph::schedule::ForwardBackward;
 use sumprod_graph::{Engine, FactorGraph, Options, Space, VariableId};
 use sumprod_messages::DynamicGaussian;
-use sumprod_models::library::{AnchorRange, LinearGaussian, PosePrior, PoseResidual, RelativePose};
+use sumprod_models::library::{AnchorRange, LinearGaussian, PosePrior, RelativePose};
 use sumprod_models::pose::Pose2;
 use sumprod_models::{AddModel, Noise};
 
@@ -112,13 +112,13 @@ fn ring(outlier: f64) -> FactorGraph<DynamicGaussian> {
     let mut graph = FactorGraph::new();
     let poses: Vec<_> = (0..12).map(|k| graph.variable(format!("x{k}"), Space::Se2).unwrap()).collect();
     let noise = || Noise::diagonal(&[0.01, 0.01, 1e-3]).unwrap();
-    graph.add("anchor", PosePrior::<Pose2>::new(&[0.0; 3], noise()).unwrap(), &poses[..1]).unwrap();
+    graph.add("anchor", PosePrior::new([0.0; 3], noise()).unwrap(), &poses[..1]).unwrap();
     let turn = std::f64::consts::TAU / 12.0;
     for k in 0..12 {
-        let step = RelativePose::<Pose2>::new(&[1.0, 0.0, turn], PoseResidual::Log, noise()).unwrap();
+        let step = RelativePose::new([1.0, 0.0, turn], noise()).unwrap();
         graph.add("step", step, &[poses[k], poses[(k + 1) % 12]]).unwrap();
     }
-    let wrong = RelativePose::<Pose2>::new(&[outlier, 0.0, 0.0], PoseResidual::Log, noise()).unwrap();
+    let wrong = RelativePose::new([outlier, 0.0, 0.0], noise()).unwrap();
     graph.add("step", wrong, &[poses[0], poses[6]]).unwrap();
     graph
 }

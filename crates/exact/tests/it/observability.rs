@@ -4,7 +4,7 @@ use sumprod_exact::observability::{FreeDirections, free_directions, mirror_image
 use sumprod_exact::{ExactError, Problem, SolveOptions};
 use sumprod_graph::{FactorGraph, Space, VariableId};
 use sumprod_messages::DynamicGaussian;
-use sumprod_models::library::{AnchorRange, CalibratedRange, PosePrior, PoseResidual, Prior, Range, RelativePose};
+use sumprod_models::library::{AnchorRange, CalibratedRange, PosePrior, Prior, Range, RelativePose, RelativePose3};
 use sumprod_models::pose::{Pose2, Pose3};
 use sumprod_models::{AddModel, Noise};
 
@@ -36,7 +36,7 @@ fn refused(graph: &Graph, start: &[&[f64]]) -> Vec<FreeDirections> {
 fn chain(graph: &mut Graph, name: &str, length: usize) -> Vec<VariableId> {
     let poses: Vec<_> = (0..length).map(|k| graph.variable(format!("{name}{k}"), Space::Se2).unwrap()).collect();
     for pair in poses.windows(2) {
-        let step = RelativePose::<Pose2>::new(&[1.0, 0.1, 0.3], PoseResidual::Log, noise(3)).unwrap();
+        let step = RelativePose::new([1.0, 0.1, 0.3], noise(3)).unwrap();
         graph.add("odometry", step, pair).unwrap();
     }
     poses
@@ -77,7 +77,7 @@ fn no_anchor_in_space() {
     let poses: Vec<_> = (0..4).map(|k| graph.variable(format!("x{k}"), Space::Se3).unwrap()).collect();
     for pair in poses.windows(2) {
         let z = [1.0, 0.0, 0.2, 0.1, 0.0, 0.0, 0.99];
-        graph.add("odometry", RelativePose::<Pose3>::new(&z, PoseResidual::Log, noise(6)).unwrap(), pair).unwrap();
+        graph.add("odometry", RelativePose3::new(z, noise(6)).unwrap(), pair).unwrap();
     }
     let mut pose = Pose3 { position: [1.0, 2.0, 3.0], rotation: [0.0, 0.0, 0.0, 1.0] };
     let step = Pose3::read(&[1.0, 0.0, 0.2, 0.1, 0.0, 0.0, 0.99]).normalised();
@@ -97,7 +97,7 @@ fn a_disconnected_robot() {
     let mut graph = Graph::new();
     let first = chain(&mut graph, "a", 4);
     chain(&mut graph, "b", 3);
-    graph.add("prior", PosePrior::<Pose2>::new(&[2.0, -1.0, 0.4], noise(3)).unwrap(), &first[..1]).unwrap();
+    graph.add("prior", PosePrior::new([2.0, -1.0, 0.4], noise(3)).unwrap(), &first[..1]).unwrap();
     let start = [along(4), along(3)].concat();
     let found = refused(&graph, &slices(&start));
     assert_eq!((found.len(), found[0].dimension, found[0].apart), (1, 3, true));
@@ -202,7 +202,7 @@ fn a_long_chain_is_no_null_space() {
     let mut graph = Graph::new();
     let poses = chain(&mut graph, "x", 3000);
     let held = Noise::isotropic(3, 1e-8).unwrap();
-    graph.add("prior", PosePrior::<Pose2>::new(&[2.0, -1.0, 0.4], held).unwrap(), &poses[..1]).unwrap();
+    graph.add("prior", PosePrior::new([2.0, -1.0, 0.4], held).unwrap(), &poses[..1]).unwrap();
     let problem = Problem::new(&graph).unwrap();
     let mut values = problem.start();
     for (&pose, value) in poses.iter().zip(along(3000)) {

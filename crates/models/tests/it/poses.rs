@@ -3,7 +3,9 @@
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 use sumprod_graph::Space;
-use sumprod_models::library::{PointInFrame, PosePrior, PoseResidual, Range, RelativePose};
+use sumprod_models::library::{
+    PointInFrame, PosePrior, PosePrior3, PoseResidual, Range, RelativePose, RelativePose3,
+};
 use sumprod_models::pose::{Pose2, Pose3};
 use sumprod_models::{Manifold, Noise, check_expansion, check_residual};
 
@@ -19,6 +21,10 @@ fn pose(space: &Space, step: &[f64]) -> Vec<f64> {
     space.origin(&mut value);
     space.retract(&mut value, step);
     value
+}
+
+fn array<const N: usize>(numbers: &[f64]) -> [f64; N] {
+    numbers.try_into().unwrap()
 }
 
 fn noise(components: usize) -> Noise {
@@ -74,7 +80,7 @@ proptest! {
     fn relative_poses(a in step(3, 3.1), b in step(3, 3.1), z in step(3, 3.1), small in -1e-4f64..1e-4) {
         let [a, b, z] = [a, b, z].map(|s| pose(&Space::Se2, &s));
         for form in [PoseResidual::Log, PoseResidual::Split] {
-            let factor = RelativePose::<Pose2>::new(&z, form, noise(3)).unwrap();
+            let factor = RelativePose::new(array(&z), noise(3)).unwrap().with_form(form);
             let (turned, spaces) = (a[2] + z[2] - b[2], [Space::Se2, Space::Se2]);
             // Half a turn away the residual jumps.
             if (turned - std::f64::consts::PI).rem_euclid(std::f64::consts::TAU) > 0.05
@@ -91,7 +97,7 @@ proptest! {
             Space::Se2.retract(&mut exact, &whole);
             prop_assert_eq!(check_expansion(&factor, &spaces, &[&a, &exact], 1e-5), Ok(()));
         }
-        let prior = PosePrior::<Pose2>::new(&z, noise(3)).unwrap();
+        let prior = PosePrior::new(array(&z), noise(3)).unwrap();
         let mut near = z.clone();
         Space::Se2.retract(&mut near, &[0.4, -small, 1.0]);
         prop_assert_eq!(check_expansion(&prior, &[Space::Se2], &[&near], 1e-5), Ok(()));
@@ -106,11 +112,11 @@ proptest! {
         let mut to = vec![0.0; 7];
         b.write(&mut to);
         for form in [PoseResidual::Log, PoseResidual::Split] {
-            let factor = RelativePose::<Pose3>::new(&z, form, noise(6)).unwrap();
+            let factor = RelativePose3::new(array(&z), noise(6)).unwrap().with_form(form);
             prop_assert_eq!(check_expansion(&factor, &[Space::Se3, Space::Se3], &[&a, &to], 1e-5), Ok(()));
             prop_assert_eq!(check_residual(&factor, &[&a, &to], 1e-5), Ok(()));
         }
-        let prior = PosePrior::<Pose3>::new(&a, noise(6)).unwrap();
+        let prior = PosePrior3::new(array(&a), noise(6)).unwrap();
         let mut near = a.clone();
         Space::Se3.retract(&mut near, &error);
         prop_assert_eq!(check_expansion(&prior, &[Space::Se3], &[&near], 1e-5), Ok(()));
@@ -134,7 +140,7 @@ proptest! {
 
 #[test]
 fn a_full_turn_is_no_error() {
-    let factor = RelativePose::<Pose2>::new(&[1.0, 0.0, 3.0], PoseResidual::Log, noise(3)).unwrap();
+    let factor = RelativePose::new([1.0, 0.0, 3.0], noise(3)).unwrap();
     let mut residual = [0.0; 3];
     use sumprod_models::Residual;
     let (from, to) = ([0.0, 0.0, 3.0], [3f64.cos(), 3f64.sin(), 6.0 - std::f64::consts::TAU]);
@@ -144,10 +150,10 @@ fn a_full_turn_is_no_error() {
 
 #[test]
 fn poses_that_are_none_are_refused() {
-    let none = RelativePose::<Pose3>::new(&[0.0; 7], PoseResidual::Log, noise(6)).unwrap_err();
+    let none = RelativePose3::new([0.0; 7], noise(6)).unwrap_err();
     assert!(none.to_string().contains("quaternion"), "{none}");
-    assert!(RelativePose::<Pose3>::new(&[0.0; 6], PoseResidual::Log, noise(6)).is_err());
-    assert!(RelativePose::<Pose2>::new(&[0.0, f64::NAN, 0.0], PoseResidual::Log, noise(3)).is_err());
-    assert!(PosePrior::<Pose2>::new(&[0.0; 3], noise(2)).is_err());
+    assert!(RelativePose3::new([1.0; 7], noise(3)).is_err());
+    assert!(RelativePose::new([0.0, f64::NAN, 0.0], noise(3)).is_err());
+    assert!(PosePrior::new([0.0; 3], noise(2)).is_err());
     assert!(PointInFrame::new(&[1.0], 2, noise(1)).is_err());
 }
