@@ -22,9 +22,11 @@ use sumprod::prelude::*;
 type Error = Box<dyn std::error::Error>;
 
 fn main() -> Result<(), Error> {
-    for name in
-        ["pose_graphs_golden/M3500.g2o", "pose_graphs_golden/sphere2500.g2o", "pose_graphs/parking-garage.g2o"]
-    {
+    for name in [
+        "pose_graphs_golden/M3500.g2o",
+        "pose_graphs_golden/sphere2500.g2o",
+        "pose_graphs/parking-garage.g2o",
+    ] {
         pose_graph(name)?;
     }
     for side in common::sizes(&[30, 100, 300]) {
@@ -34,9 +36,11 @@ fn main() -> Result<(), Error> {
 }
 
 fn pose_graph(name: &str) -> Result<(), Error> {
-    let data = std::env::var_os("SUMPROD_DATA").map_or_else(|| PathBuf::from("../shared/data"), PathBuf::from);
+    let data =
+        std::env::var_os("SUMPROD_DATA").map_or_else(|| PathBuf::from("../shared/data"), PathBuf::from);
     let root = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../..");
-    let Some(path) = [data.join(name), root.join(&data).join(name)].into_iter().find(|path| path.exists()) else {
+    let Some(path) = [data.join(name), root.join(&data).join(name)].into_iter().find(|path| path.exists())
+    else {
         println!("{name}: skipped, not below {}", data.display());
         return Ok(());
     };
@@ -106,10 +110,15 @@ const MINUS: [f64; 4] = [-1.0, 0.0, 0.0, -1.0];
 fn grid(side: usize) -> Result<FactorGraph<DynamicGaussian>, Error> {
     let mut random = Xoshiro256PlusPlus::seed_from_u64(7);
     let mut graph = FactorGraph::new();
-    let variables: Vec<VariableId> = (0..side * side).map(|_| graph.unnamed_variable(Space::real(2))).collect();
+    let variables: Vec<VariableId> =
+        (0..side * side).map(|_| graph.unnamed_variable(Space::real(2))).collect();
     for &variable in &variables {
         let observed = noisy(&mut random, 4.0);
-        graph.add("", LinearGaussian::new(&[&UNIT], &observed, noise(&mut random, 0.05, 0.2)?)?, &[variable])?;
+        graph.add(
+            "",
+            LinearGaussian::new(&[&UNIT], &observed, noise(&mut random, 0.05, 0.2)?)?,
+            &[variable],
+        )?;
     }
     for k in 0..side * side {
         let right = (k % side + 1 < side).then_some(k + 1);
@@ -131,12 +140,17 @@ fn chain(length: usize) -> Result<FactorGraph<DynamicGaussian>, Error> {
     for k in 0..length {
         let variable = graph.unnamed_variable(Space::real(2));
         if let Some(previous) = previous {
-            let factor = LinearGaussian::new(&[&MINUS, &UNIT], &noisy(&mut random, 1.0), Noise::isotropic(2, 1.0)?)?;
+            let factor =
+                LinearGaussian::new(&[&MINUS, &UNIT], &noisy(&mut random, 1.0), Noise::isotropic(2, 1.0)?)?;
             graph.add("", factor, &[previous, variable])?;
         }
         if k % 10 == 0 {
             let observed = [random.random::<f64>(), 0.0];
-            graph.add("", LinearGaussian::new(&[&UNIT], &observed, Noise::isotropic(2, 4.0)?)?, &[variable])?;
+            graph.add(
+                "",
+                LinearGaussian::new(&[&UNIT], &observed, Noise::isotropic(2, 4.0)?)?,
+                &[variable],
+            )?;
         }
         previous = Some(variable);
     }

@@ -50,7 +50,12 @@ pub fn main() -> Result<(), Error> {
     }
     let mut solution = problem.solve(start, &SolveOptions::default())?;
     let report = solution.report();
-    println!("cost {:.4} after {} steps, log evidence {:.3}", report.cost, report.iterations, solution.log_evidence()?);
+    println!(
+        "cost {:.4} after {} steps, log evidence {:.3}",
+        report.cost,
+        report.iterations,
+        solution.log_evidence()?
+    );
     let marginals = solution.marginals()?;
     for &variable in &poses {
         let (value, covariance) = (solution.values().get(variable), marginals.covariance(variable));

@@ -40,7 +40,8 @@ impl Answer {
             let own = self.covariances.as_ref().and_then(|all| all.get(number));
             if let (Some(own), Some(most)) = (own, &mut out.covariance_relative) {
                 let scale = covariance.iter().fold(f64::MIN_POSITIVE, |scale, x| scale.max(x.abs()));
-                *most = own.iter().zip(covariance).fold(*most, |most, (a, b)| most.max((a - b).abs() / scale));
+                *most =
+                    own.iter().zip(covariance).fold(*most, |most, (a, b)| most.max((a - b).abs() / scale));
             }
         }
         Some(out)

@@ -72,9 +72,14 @@ impl Problem<'_> {
             }
             if !size.is_finite() {
                 let remedy = "messages diverge; damp them";
-                return Err(ExactError::NotFinite { what: "a step of belief propagation".into(), value: size, remedy });
+                return Err(ExactError::NotFinite {
+                    what: "a step of belief propagation".into(),
+                    value: size,
+                    remedy,
+                });
             }
-            let log_evidence = bethe_log_evidence(self, &values, &engine).ok().filter(|value| value.is_finite());
+            let log_evidence =
+                bethe_log_evidence(self, &values, &engine).ok().filter(|value| value.is_finite());
             values = self.moved(&values, &step)?;
             if size < STILL || round >= options.rounds {
                 let answer = Answer { values, covariances: Some(covariances) };

@@ -24,9 +24,8 @@ pub fn bethe_log_evidence(
     let graph: &FactorGraph<DynamicGaussian> = engine.graph();
     let topology = engine.topology();
     let mut total = 0.0;
-    let named = |index: usize| move |source: MessageError| ExactError::Prior {
-        variable: problem.variable_name(index),
-        source,
+    let named = |index: usize| {
+        move |source: MessageError| ExactError::Prior { variable: problem.variable_name(index), source }
     };
     for (index, variable) in graph.variable_ids().enumerate() {
         total += log_integral_of(engine.belief(variable)).map_err(named(index))?;

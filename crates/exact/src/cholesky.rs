@@ -111,7 +111,12 @@ impl Numeric {
     }
 
     /// Solves A X = B in place, `columns` right-hand sides one after the other.
-    pub(crate) fn solve(&self, symbolic: &Symbolic, right: &mut [f64], columns: usize) -> Result<(), ExactError> {
+    pub(crate) fn solve(
+        &self,
+        symbolic: &Symbolic,
+        right: &mut [f64],
+        columns: usize,
+    ) -> Result<(), ExactError> {
         let size = symbolic.supernodes.nrows();
         if size == 0 || columns == 0 {
             return Ok(());

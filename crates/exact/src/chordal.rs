@@ -74,7 +74,9 @@ fn stored(position: &[f64], rotation: &DMatrix<f64>) -> Vec<f64> {
 fn relatives(file: &GraphFile) -> Vec<Relative> {
     let mut found = Vec::new();
     for factor in &file.factors {
-        let (Measurement::RelativePose(pose), [from, to]) = (&factor.measurement, factor.variables.as_slice()) else {
+        let (Measurement::RelativePose(pose), [from, to]) =
+            (&factor.measurement, factor.variables.as_slice())
+        else {
             continue;
         };
         let d = factor.covariance.len().isqrt();
@@ -148,16 +150,26 @@ struct Linear {
 impl Linear {
     fn new(reached: &[bool], size: usize) -> Self {
         let mut graph = FactorGraph::new();
-        let handles =
-            reached.iter().map(|&reached| reached.then(|| graph.unnamed_variable(Space::real(size)))).collect();
+        let handles = reached
+            .iter()
+            .map(|&reached| reached.then(|| graph.unnamed_variable(Space::real(size))))
+            .collect();
         Self { graph, handles, size }
     }
 
-    fn add(&mut self, ends: &[usize], matrices: &[&[f64]], target: &[f64], covariance: &[f64]) -> Result<(), ExactError> {
+    fn add(
+        &mut self,
+        ends: &[usize],
+        matrices: &[&[f64]],
+        target: &[f64],
+        covariance: &[f64],
+    ) -> Result<(), ExactError> {
         let ports: Vec<VariableId> = ends.iter().filter_map(|&end| self.handles[end]).collect();
-        let refused = |reason: String| ExactError::Request(format!("the linear start cannot be set up: {reason}"));
+        let refused =
+            |reason: String| ExactError::Request(format!("the linear start cannot be set up: {reason}"));
         let noise = Noise::gaussian(covariance).map_err(|error| refused(error.to_string()))?;
-        let factor = LinearGaussian::new(matrices, target, noise).map_err(|error| refused(error.to_string()))?;
+        let factor =
+            LinearGaussian::new(matrices, target, noise).map_err(|error| refused(error.to_string()))?;
         self.graph.add("", factor, &ports)?;
         Ok(())
     }

@@ -26,7 +26,9 @@ pub enum ExactError {
         source: MessageError,
     },
     /// A belief that messages leave without a covariance.
-    #[error("the belief of variable {variable:?} is no distribution: {source}; allow more rounds of messages")]
+    #[error(
+        "the belief of variable {variable:?} is no distribution: {source}; allow more rounds of messages"
+    )]
     Belief {
         /// The variable.
         variable: String,
@@ -69,7 +71,9 @@ pub enum ExactError {
     #[error("{0}")]
     Request(String),
     /// The iteration ended without convergence.
-    #[error("no convergence after {iterations} iterations: cost {cost:.9e}, last decrease {decrease:.1e}; {remedy}")]
+    #[error(
+        "no convergence after {iterations} iterations: cost {cost:.9e}, last decrease {decrease:.1e}; {remedy}"
+    )]
     NotConverged {
         /// Iterations made.
         iterations: usize,

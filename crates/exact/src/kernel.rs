@@ -73,11 +73,13 @@ mod tests {
 
     #[test]
     fn weights_are_the_losses_derivatives() {
-        let kernels = [Kernel::Huber(1.3), Kernel::Cauchy(2.0), Kernel::GemanMcclure(1.5), Kernel::Tukey(4.6)];
+        let kernels =
+            [Kernel::Huber(1.3), Kernel::Cauchy(2.0), Kernel::GemanMcclure(1.5), Kernel::Tukey(4.6)];
         for kernel in kernels {
             for squared in [1e-3, 0.7, 1.6, 3.0, 20.0, 30.0] {
                 let h = 1e-6 * squared;
-                let (above, below) = (kernel.loss_and_weight(squared + h).0, kernel.loss_and_weight(squared - h).0);
+                let (above, below) =
+                    (kernel.loss_and_weight(squared + h).0, kernel.loss_and_weight(squared - h).0);
                 let (loss, weight) = kernel.loss_and_weight(squared);
                 assert!((weight - (above - below) / (2.0 * h)).abs() < 1e-7, "{kernel:?} at {squared}");
                 assert!(loss <= squared * (1.0 + 1e-12) && (0.0..=1.0).contains(&weight));

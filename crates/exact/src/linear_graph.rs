@@ -17,7 +17,12 @@ impl Problem<'_> {
         let mut graph = FactorGraph::new();
         let mut handles: Vec<VariableId> = Vec::with_capacity(self.variable_count());
         for index in 0..self.variable_count() {
-            handles.push(graph.variable(self.variable_name(index), Space::real(self.space(index).degrees_of_freedom()))?);
+            handles.push(
+                graph.variable(
+                    self.variable_name(index),
+                    Space::real(self.space(index).degrees_of_freedom()),
+                )?,
+            );
         }
         let (mut question, mut chained) = (Expansion::default(), Vec::new());
         for factor in 0..self.factor_count() {
@@ -31,15 +36,16 @@ impl Problem<'_> {
             for &variable in self.ports(factor) {
                 let d = self.layout.freedoms(variable as usize).len();
                 matrices.push(
-                    (0..rows).flat_map(|row| question.jacobian[row * wide + start..][..d].iter().copied()).collect(),
+                    (0..rows)
+                        .flat_map(|row| question.jacobian[row * wide + start..][..d].iter().copied())
+                        .collect(),
                 );
                 start += d;
             }
             let slices: Vec<&[f64]> = matrices.iter().map(Vec::as_slice).collect();
             let target: Vec<f64> = question.residual.iter().map(|r| -r).collect();
-            let noise = Noise::isotropic(rows, 1.0).map_err(|error| {
-                failed(sumprod_graph::MessageError::Unsupported(error.to_string()))
-            })?;
+            let noise = Noise::isotropic(rows, 1.0)
+                .map_err(|error| failed(sumprod_graph::MessageError::Unsupported(error.to_string())))?;
             let linear = LinearGaussian::new(&slices, &target, noise).map_err(failed)?;
             graph.add("linearised", linear, &ports)?;
         }

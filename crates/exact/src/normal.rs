@@ -34,7 +34,8 @@ impl Normal {
             problem.expand(factor, values, true, &mut self.question, &mut self.chained)?;
             self.cost += self.question.loss;
             self.log_peak += self.question.log_peak;
-            let range = structure.place_pointer[factor] as usize..structure.place_pointer[factor + 1] as usize;
+            let range =
+                structure.place_pointer[factor] as usize..structure.place_pointer[factor + 1] as usize;
             self.add(problem, structure, problem.ports(factor), &structure.places[range]);
         }
         if self.gradient.iter().all(|g| g.is_finite()) {

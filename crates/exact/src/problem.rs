@@ -173,7 +173,11 @@ impl<'g> Problem<'g> {
         self.kernels.push((kind.to_owned(), kernel));
         let of = |&factor: &FactorId| {
             let kind = self.source.factor_kind(factor);
-            self.kernels.iter().rev().find(|(name, _)| name == kind).map_or(Kernel::None, |(_, kernel)| *kernel)
+            self.kernels
+                .iter()
+                .rev()
+                .find(|(name, _)| name == kind)
+                .map_or(Kernel::None, |(_, kernel)| *kernel)
         };
         self.kernel_of = self.factors.iter().map(of).collect();
     }
@@ -259,7 +263,8 @@ impl<'g> Problem<'g> {
         }
         match self.factors.get(factor) {
             Some(&id) => self.ask(id, out)?,
-            None => self.priors[factor - self.factors.len()].expand(self.layout.space(self.ports(factor)[0] as usize), out),
+            None => self.priors[factor - self.factors.len()]
+                .expand(self.layout.space(self.ports(factor)[0] as usize), out),
         }
         if !out.loss.is_finite() {
             return Err(self.not_finite(factor, out));
@@ -331,7 +336,8 @@ impl<'g> Problem<'g> {
     pub fn moved(&self, values: &Values, step: &[f64]) -> Result<Values, ExactError> {
         let (found, expected) = (step.len(), self.degrees_of_freedom());
         if found != expected || values.layout != self.layout {
-            let reason = format!("a step of {found} numbers does not suit values of {expected} degrees of freedom");
+            let reason =
+                format!("a step of {found} numbers does not suit values of {expected} degrees of freedom");
             return Err(ExactError::Request(reason));
         }
         Ok(values.retracted(step))
@@ -393,7 +399,8 @@ fn pinned<M: GaussianFamily, F: Factor<M>>(
     let named = |source| ExactError::Prior { variable: graph.variable_name(variable), source };
     let d = prior.dimension();
     if d != space.dimension() || *space == Space::Se3 {
-        let reason = "a prior message suits real and angular coordinates; give a pose in space a PosePrior factor";
+        let reason =
+            "a prior message suits real and angular coordinates; give a pose in space a PosePrior factor";
         return Err(named(sumprod_graph::MessageError::Unsupported(reason.into())));
     }
     let (mut information, mut mean) = (vec![0.0; d * d], vec![0.0; d]);

@@ -23,11 +23,7 @@ struct Front {
 
 /// Visits the inverse's block over each supernode's own columns: first column, number of columns, entries
 /// (column-major, with this leading dimension).
-fn each_block(
-    symbolic: &Symbolic,
-    numeric: &Numeric,
-    mut visit: impl FnMut(usize, usize, &[f64], usize),
-) {
+fn each_block(symbolic: &Symbolic, numeric: &Numeric, mut visit: impl FnMut(usize, usize, &[f64], usize)) {
     let supernodes = &symbolic.supernodes;
     let count = supernodes.n_supernodes();
     let factor = SupernodalLltRef::new(supernodes, &numeric.values);
@@ -127,7 +123,11 @@ fn own_block(top: MatRef<'_, f64>, bottom: MatRef<'_, f64>, slope: &mut Vec<f64>
 
 /// Visits the inverse's diagonal block of every variable: its number, the block's entries (column-major) and their
 /// leading dimension.
-pub(crate) fn each_variable(structure: &Structure, numeric: &Numeric, mut visit: impl FnMut(usize, &[f64], usize)) {
+pub(crate) fn each_variable(
+    structure: &Structure,
+    numeric: &Numeric,
+    mut visit: impl FnMut(usize, &[f64], usize),
+) {
     // Supernodes come last first, and variables never straddle two of them.
     let mut place = structure.order.len();
     each_block(&structure.symbolic, numeric, |start, _, entries, stride| {

@@ -109,7 +109,8 @@ impl<'p> Solution<'p> {
             let own = &mut entries[pointer[variable]..pointer[variable + 1]];
             for column in 0..d {
                 for row in 0..d {
-                    own[row * d + column] = 0.5 * (block[column * stride + row] + block[row * stride + column]);
+                    own[row * d + column] =
+                        0.5 * (block[column * stride + row] + block[row * stride + column]);
                 }
             }
         });

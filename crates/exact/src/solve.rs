@@ -231,8 +231,12 @@ impl<'p, 'o> Descent<'p, 'o> {
             &self.here.lower
         };
         self.undamped = self.damping == 0.0;
-        let factored =
-            self.numeric.factorise(&structure.symbolic, &structure.column_pointer, &structure.row_index, lower);
+        let factored = self.numeric.factorise(
+            &structure.symbolic,
+            &structure.column_pointer,
+            &structure.row_index,
+            lower,
+        );
         if let Err(row) = factored {
             if self.options.optimizer == Optimizer::LevenbergMarquardt && self.damping < 1e3 {
                 self.damping = (10.0 * self.damping).max(FIRST_DAMPING);
@@ -290,7 +294,8 @@ impl<'p, 'o> Descent<'p, 'o> {
         let mut out = vec![0.0; x.len()];
         for (column, &own) in x.iter().enumerate() {
             let range = self.structure.column_pointer[column]..self.structure.column_pointer[column + 1];
-            for (&row, &entry) in self.structure.row_index[range.clone()].iter().zip(&self.here.lower[range]) {
+            for (&row, &entry) in self.structure.row_index[range.clone()].iter().zip(&self.here.lower[range])
+            {
                 out[row] += entry * own;
                 if row != column {
                     out[column] += entry * x[row];

@@ -77,7 +77,9 @@ impl Structure {
         }
         if u32::try_from(row_index.len()).is_err() {
             let entries = row_index.len();
-            return Err(ExactError::Sparse(format!("the information has {entries} entries, over the limit of 4e9")));
+            return Err(ExactError::Sparse(format!(
+                "the information has {entries} entries, over the limit of 4e9"
+            )));
         }
         let (place_pointer, places) =
             places(problem, &position, &start, &column_pointer, (&block_pointer, &block_row));
@@ -187,7 +189,8 @@ fn places(
                     before[range.start + found]
                 };
                 let head = start[column] as usize;
-                let (own, next) = (column_pointer[head], column_pointer.get(head + 1).copied().unwrap_or_default());
+                let (own, next) =
+                    (column_pointer[head], column_pointer.get(head + 1).copied().unwrap_or_default());
                 let stride = next.saturating_sub(own).saturating_sub(1) as u32;
                 places.push(Place { base: own as u32 + offset, stride, first_is_row: a >= b });
             }
@@ -209,8 +212,9 @@ fn minimum_degree(problem: &Problem<'_>) -> Result<Vec<u32>, ExactError> {
     let request = amd::order_scratch::<usize>(count, rows.len());
     let mut memory = MemBuffer::try_new(request).map_err(|_| out_of_memory())?;
     let stack = MemStack::new(&mut memory);
-    amd::order(&mut forward, &mut inverse, pattern, amd::Control::default(), stack)
-        .map_err(|error| ExactError::Sparse(format!("the order of elimination could not be found: {error:?}")))?;
+    amd::order(&mut forward, &mut inverse, pattern, amd::Control::default(), stack).map_err(|error| {
+        ExactError::Sparse(format!("the order of elimination could not be found: {error:?}"))
+    })?;
     Ok(forward.iter().map(|&variable| variable as u32).collect())
 }
 

@@ -1,7 +1,7 @@
 //! A value for every variable of a problem.
 
-use crate::problem::Layout;
 use crate::ExactError;
+use crate::problem::Layout;
 use std::sync::Arc;
 use sumprod_graph::{Space, VariableId};
 use sumprod_models::Manifold;

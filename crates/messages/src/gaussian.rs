@@ -432,9 +432,11 @@ impl<const D: usize> Message for Gaussian<D> {
 pub(crate) fn check_gaussian_space(space: &Space) -> Result<(), String> {
     match space {
         Space::Continuous(_) | Space::Se2 => Ok(()),
-        Space::Se3 => Err("a Gaussian cannot hold a pose in space by its quaternion; solve the graph jointly, or \
+        Space::Se3 => {
+            Err("a Gaussian cannot hold a pose in space by its quaternion; solve the graph jointly, or \
                            pass messages on its linear form (exact::Problem::linear_graph)"
-            .into()),
+                .into())
+        }
         Space::Finite(states) => Err(format!("a Gaussian cannot hold a variable of {states} states")),
     }
 }

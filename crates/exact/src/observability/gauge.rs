@@ -131,7 +131,9 @@ fn step(place: Place, motion: Motion, value: &[f64], out: &mut [f64]) {
 fn coordinate_name(space: &Space, index: usize) -> String {
     let known: &[&str] = match space {
         Space::Se3 => &["x", "y", "z", "rotation about x", "rotation about y", "rotation about z"],
-        _ if Place::of(space).is_some_and(|place| place.axes() == 2) && space.dimension() == 3 => &["x", "y", "heading"],
+        _ if Place::of(space).is_some_and(|place| place.axes() == 2) && space.dimension() == 3 => {
+            &["x", "y", "heading"]
+        }
         _ => &[],
     };
     match known.get(index) {
@@ -248,7 +250,8 @@ fn remedy(motions: &[Motion], axes: usize, weakest: Option<String>) -> String {
     let mut remedies = Vec::new();
     match (along, about) {
         (0, 0) => {}
-        (0, _) => remedies.push("add a prior on one orientation, or the known place of a second variable".to_owned()),
+        (0, _) => remedies
+            .push("add a prior on one orientation, or the known place of a second variable".to_owned()),
         (_, 0) => remedies.push("add a prior on one position, or a measurement to a known place".to_owned()),
         _ => {
             let anchors = if axes == 2 { "two known places" } else { "three known places not in a line" };

@@ -52,7 +52,8 @@ pub fn mirror_images(problem: &Problem<'_>, values: &Values) -> Result<Vec<Mirro
     let mut search = Search { problem, values, question: Expansion::default(), chained: Vec::new() };
     let mut found = Vec::new();
     for component in problem.components() {
-        let mut factors: Vec<u32> = component.iter().flat_map(|&v| factors_of[v as usize].iter().copied()).collect();
+        let mut factors: Vec<u32> =
+            component.iter().flat_map(|&v| factors_of[v as usize].iter().copied()).collect();
         factors.sort_unstable();
         factors.dedup();
         let mut places = Vec::new();
@@ -100,7 +101,8 @@ fn factors_of(problem: &Problem<'_>) -> Vec<Vec<u32>> {
 /// The line that some points lie in, by a point and a unit direction; none where they are fewer than two or spread.
 fn line(points: &[[f64; 2]]) -> Option<([f64; 2], [f64; 2])> {
     let &[x, y] = points.first()?;
-    let far = points.iter().max_by(|a, b| (a[0] - x).hypot(a[1] - y).total_cmp(&(b[0] - x).hypot(b[1] - y)))?;
+    let far =
+        points.iter().max_by(|a, b| (a[0] - x).hypot(a[1] - y).total_cmp(&(b[0] - x).hypot(b[1] - y)))?;
     let (u, v) = (far[0] - x, far[1] - y);
     let length = u.hypot(v);
     if length <= 1e-9 * (1.0 + x.hypot(y)) {
@@ -127,7 +129,9 @@ impl Search<'_, '_> {
     /// The known places that a factor refers to.
     fn places(&mut self, factor: usize, out: &mut Vec<[f64; 2]>) -> Result<(), ExactError> {
         self.problem.expand(factor, self.values, false, &mut self.question, &mut self.chained)?;
-        out.extend(self.question.places.iter().filter(|place| place.len() == 2).map(|place| [place[0], place[1]]));
+        out.extend(
+            self.question.places.iter().filter(|place| place.len() == 2).map(|place| [place[0], place[1]]),
+        );
         Ok(())
     }
 

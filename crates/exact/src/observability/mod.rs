@@ -35,7 +35,12 @@ impl fmt::Display for FreeDirections {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let apart = if self.apart { ", which no factor joins to the others" } else { "" };
         let variables = words::names(&self.variables);
-        write!(f, "nothing constrains {} of {variables}{apart}; {}", words::list(&self.directions), self.remedy)
+        write!(
+            f,
+            "nothing constrains {} of {variables}{apart}; {}",
+            words::list(&self.directions),
+            self.remedy
+        )
     }
 }
 

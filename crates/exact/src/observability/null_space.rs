@@ -34,7 +34,11 @@ impl NullSpace {
         normal.fill(problem, &structure, values)?;
         let scale: Vec<f64> = structure.column_pointer[..size]
             .iter()
-            .map(|&diagonal| if normal.lower[diagonal] > 0.0 { normal.lower[diagonal].sqrt().recip() } else { 1.0 })
+            .map(
+                |&diagonal| {
+                    if normal.lower[diagonal] > 0.0 { normal.lower[diagonal].sqrt().recip() } else { 1.0 }
+                },
+            )
             .collect();
         let numeric = shifted_factor(&structure, &mut normal.lower, &scale)?;
         let scale = structure.unpermuted(problem, &scale);
@@ -113,7 +117,10 @@ fn shifted_factor(structure: &Structure, lower: &mut [f64], scale: &[f64]) -> Re
         for &diagonal in &structure.column_pointer[..structure.size()] {
             lower[diagonal] += shift;
         }
-        if numeric.factorise(&structure.symbolic, &structure.column_pointer, &structure.row_index, lower).is_ok() {
+        if numeric
+            .factorise(&structure.symbolic, &structure.column_pointer, &structure.row_index, lower)
+            .is_ok()
+        {
             return Ok(numeric);
         }
         shift *= 100.0;

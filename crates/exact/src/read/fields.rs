@@ -77,9 +77,12 @@ impl<'a> Fields<'a> {
         let word = self.word(what)?;
         match word.parse::<f64>() {
             Ok(number) if number.is_finite() => Ok(number),
-            Ok(number) => Err(self.error(format!("field {} of {} ({what}) is {number}", self.next, self.tag))),
+            Ok(number) => {
+                Err(self.error(format!("field {} of {} ({what}) is {number}", self.next, self.tag)))
+            }
             Err(_) => {
-                Err(self.error(format!("field {} of {} ({what}) is {word:?}, not a number", self.next, self.tag)))
+                Err(self
+                    .error(format!("field {} of {} ({what}) is {word:?}, not a number", self.next, self.tag)))
             }
         }
     }
@@ -95,7 +98,10 @@ impl<'a> Fields<'a> {
             None => Ok(()),
             Some(extra) => {
                 let (found, expected) = (self.fields.len(), self.next);
-                Err(self.error(format!("{} has {found} fields, expected {expected}; the first beyond is {extra:?}", self.tag)))
+                Err(self.error(format!(
+                    "{} has {found} fields, expected {expected}; the first beyond is {extra:?}",
+                    self.tag
+                )))
             }
         }
     }
@@ -125,7 +131,8 @@ impl<'a> Fields<'a> {
 
     /// The variable of a name that the file has given.
     pub(super) fn known(&self, file: &GraphFile, name: &str) -> Result<usize, ExactError> {
-        file.find(name).ok_or_else(|| self.error(format!("{} refers to {name}, which no VERTEX line gives", self.tag)))
+        file.find(name)
+            .ok_or_else(|| self.error(format!("{} refers to {name}, which no VERTEX line gives", self.tag)))
     }
 }
 

@@ -79,7 +79,10 @@ pub(super) fn vertex(
     };
     if file.variables[number].space != space {
         let found = &file.variables[number].space;
-        return Err(fields.error(format!("{} needs vertex {name} to be of {space:?}, but it is of {found:?}", fields.tag)));
+        return Err(fields.error(format!(
+            "{} needs vertex {name} to be of {space:?}, but it is of {found:?}",
+            fields.tag
+        )));
     }
     Ok(number)
 }

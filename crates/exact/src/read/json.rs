@@ -60,7 +60,9 @@ pub(super) fn read(file: &mut GraphFile, text: &str) -> Result<(), ExactError> {
             }
             variables.push(number);
         }
-        if factor.noise_covariance.len() != rows || factor.noise_covariance.iter().any(|row| row.len() != rows) {
+        if factor.noise_covariance.len() != rows
+            || factor.noise_covariance.iter().any(|row| row.len() != rows)
+        {
             return Err(wrong(format!("noise_covariance is not {rows} by {rows}")));
         }
         let matrices = factor.matrices.iter().map(|matrix| matrix.concat()).collect();

@@ -23,7 +23,8 @@ use std::path::{Path, PathBuf};
 use sumprod_graph::{FactorGraph, Space, VariableId};
 use sumprod_messages::DynamicGaussian;
 use sumprod_models::library::{
-    LinearGaussian, PointInFrame, PosePrior, PosePrior3, PoseResidual, Prior, Range, RelativePose, RelativePose3,
+    LinearGaussian, PointInFrame, PosePrior, PosePrior3, PoseResidual, Prior, Range, RelativePose,
+    RelativePose3,
 };
 use sumprod_models::{AddModel, Manifold, Noise};
 
@@ -85,7 +86,8 @@ impl GraphFile {
     ///
     /// Where the file cannot be read, is of none of these kinds, or holds anything that cannot be used.
     pub fn read(path: &Path) -> Result<Self, ExactError> {
-        let text = std::fs::read(path).map_err(|error| ExactError::file(path, None, format!("cannot be read: {error}")))?;
+        let text = std::fs::read(path)
+            .map_err(|error| ExactError::file(path, None, format!("cannot be read: {error}")))?;
         let text = String::from_utf8(text).map_err(|error| {
             let before = error.utf8_error().valid_up_to();
             let line = 1 + error.as_bytes()[..before].iter().filter(|&&byte| byte == b'\n').count();
@@ -143,7 +145,9 @@ impl GraphFile {
     pub fn hold(&mut self, variable: usize, translation_sd: f64, rotation_sd: f64) -> Result<(), ExactError> {
         let count = self.variables.len();
         let Some(own) = self.variables.get(variable) else {
-            return Err(ExactError::Request(format!("there is no variable {variable}; the file has {count}")));
+            return Err(ExactError::Request(format!(
+                "there is no variable {variable}; the file has {count}"
+            )));
         };
         let mut mean = vec![0.0; own.space.dimension()];
         own.space.origin(&mut mean);
@@ -165,7 +169,9 @@ impl GraphFile {
 
     /// Whether every factor is linear and every variable real.
     pub fn is_linear(&self) -> bool {
-        let linear = |factor: &FileFactor| matches!(factor.measurement, Measurement::Linear(..) | Measurement::Prior(_));
+        let linear = |factor: &FileFactor| {
+            matches!(factor.measurement, Measurement::Linear(..) | Measurement::Prior(_))
+        };
         !self.has_poses() && self.factors.iter().all(linear)
     }
 

@@ -54,9 +54,13 @@ fn expect(file: &GraphFile, fields: &Fields<'_>, number: usize, space: &Space) -
 fn range(file: &GraphFile, fields: &mut Fields<'_>) -> Result<FileFactor, ExactError> {
     let variables = vec![variable(file, fields)?, variable(file, fields)?];
     if variables[0] == variables[1] {
-        return Err(fields.error(format!("{} joins {} to itself", fields.tag, file.variables[variables[0]].name)));
+        return Err(
+            fields.error(format!("{} joins {} to itself", fields.tag, file.variables[variables[0]].name))
+        );
     }
-    let flat = |&v: &usize| matches!(file.variables[v].space, Space::Se3) || file.variables[v].space == Space::real(3);
+    let flat = |&v: &usize| {
+        matches!(file.variables[v].space, Space::Se3) || file.variables[v].space == Space::real(3)
+    };
     if variables.iter().any(flat) != variables.iter().all(flat) {
         return Err(fields.error("EDGE_RANGE joins a variable of the plane to one of space"));
     }

@@ -28,7 +28,9 @@ pub(super) fn read(file: &mut GraphFile, text: &str) -> Result<(), ExactError> {
             "VERTEX2" | "VERTEX3" | "EQUIV" => continue,
             tag => {
                 let known = "VERTEX2, EDGE2, VERTEX3, EDGE3, EQUIV";
-                return Err(fields.error(format!("{tag:?} is no element of TORO that is known here: {known}")));
+                return Err(
+                    fields.error(format!("{tag:?} is no element of TORO that is known here: {known}"))
+                );
             }
         };
         let mut variables = Vec::with_capacity(2);

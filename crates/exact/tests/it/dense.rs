@@ -4,7 +4,9 @@ use crate::support::assert_close;
 use nalgebra::{DMatrix, DVector};
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
-use sumprod_exact::{Kernel, Optimizer, Ordering, Problem, SolveOptions, Solver, Values, bethe_log_evidence, compare};
+use sumprod_exact::{
+    Kernel, Optimizer, Ordering, Problem, SolveOptions, Solver, Values, bethe_log_evidence, compare,
+};
 use sumprod_graph::schedule::ForwardBackward;
 use sumprod_graph::{Engine, FactorGraph, Options, Space, VariableId};
 use sumprod_messages::DynamicGaussian;
@@ -23,7 +25,8 @@ fn random() -> impl Strategy<Value = Random> {
     prop::collection::vec(1usize..5, 1..12).prop_flat_map(|dimensions| {
         let count = dimensions.len();
         let factor = (prop::collection::vec(0..count, 1..4), prop::collection::vec(-1.0f64..1.0, 64));
-        prop::collection::vec(factor, 0..25).prop_map(move |factors| Random { dimensions: dimensions.clone(), factors })
+        prop::collection::vec(factor, 0..25)
+            .prop_map(move |factors| Random { dimensions: dimensions.clone(), factors })
     })
 }
 
@@ -31,8 +34,16 @@ impl Random {
     /// The graph, every variable with a prior, and the dense information, vector and evidence offset.
     fn graph(&self) -> (FactorGraph<DynamicGaussian>, Vec<VariableId>, DMatrix<f64>, DVector<f64>, f64) {
         let mut graph = FactorGraph::new();
-        let handles: Vec<_> = self.dimensions.iter().map(|&d| graph.unnamed_variable(Space::real(d))).collect();
-        let starts: Vec<usize> = self.dimensions.iter().scan(0, |sum, d| { *sum += d; Some(*sum - d) }).collect();
+        let handles: Vec<_> =
+            self.dimensions.iter().map(|&d| graph.unnamed_variable(Space::real(d))).collect();
+        let starts: Vec<usize> = self
+            .dimensions
+            .iter()
+            .scan(0, |sum, d| {
+                *sum += d;
+                Some(*sum - d)
+            })
+            .collect();
         let n: usize = self.dimensions.iter().sum();
         let (mut information, mut vector, mut offset) = (DMatrix::zeros(n, n), DVector::zeros(n), 0.0);
         let mut add = |wide: DMatrix<f64>, target: DVector<f64>, variance: f64| {
@@ -44,7 +55,8 @@ impl Random {
         for (k, (&handle, &d)) in handles.iter().zip(&self.dimensions).enumerate() {
             let unit = DMatrix::<f64>::identity(d, d);
             let target = DVector::from_element(d, 0.3 * k as f64);
-            let factor = LinearGaussian::new(&[unit.as_slice()], target.as_slice(), Noise::isotropic(d, 2.0).unwrap());
+            let factor =
+                LinearGaussian::new(&[unit.as_slice()], target.as_slice(), Noise::isotropic(d, 2.0).unwrap());
             graph.add("prior", factor.unwrap(), &[handle]).unwrap();
             let mut wide = DMatrix::zeros(d, n);
             wide.view_mut((0, starts[k]), (d, d)).copy_from(&unit);
@@ -64,7 +76,8 @@ impl Random {
             let slices: Vec<&[f64]> = matrices.iter().map(Vec::as_slice).collect();
             let target = DVector::from_row_slice(&[entries.next().unwrap(), 1.0]);
             let ports: Vec<_> = variables.iter().map(|&v| handles[v]).collect();
-            let factor = LinearGaussian::new(&slices, target.as_slice(), Noise::isotropic(2, 0.5).unwrap()).unwrap();
+            let factor =
+                LinearGaussian::new(&slices, target.as_slice(), Noise::isotropic(2, 0.5).unwrap()).unwrap();
             graph.add("factor", factor, &ports).unwrap();
             add(wide, target, 0.5);
         }

@@ -16,12 +16,18 @@ const VERTICES: &str = "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\n";
 #[test]
 fn g2o() {
     let cases = [
-        ("EDGE_SE2 0 1 1 0 0 1 0 0 1 0", "a.g2o:3: EDGE_SE2 ends after 10 fields; an entry of the information matrix is missing"),
+        (
+            "EDGE_SE2 0 1 1 0 0 1 0 0 1 0",
+            "a.g2o:3: EDGE_SE2 ends after 10 fields; an entry of the information matrix is missing",
+        ),
         ("EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1 5", "a.g2o:3: EDGE_SE2 has 12 fields, expected 11"),
         ("EDGE_SE2 0 1 1 x 0 1 0 0 1 0 1", "a.g2o:3: field 4 of EDGE_SE2 (y) is \"x\", not a number"),
         ("EDGE_SE2 0 1 1 nan 0 1 0 0 1 0 1", "field 4 of EDGE_SE2 (y) is NaN"),
         ("EDGE_SE2 0 7 1 0 0 1 0 0 1 0 1", "EDGE_SE2 refers to 7, which no VERTEX line gives"),
-        ("EDGE_SE2 0 1 1 0 0 1 2 0 1 0 1", "a.g2o:3: EDGE_SE2: the information matrix is not positive definite"),
+        (
+            "EDGE_SE2 0 1 1 0 0 1 2 0 1 0 1",
+            "a.g2o:3: EDGE_SE2: the information matrix is not positive definite",
+        ),
         ("EDGE_SE3:QUAT 0 1 1 0 0 0 0 0 1", "needs vertex 0 to be of Se3, but it is of Se2"),
         ("EDGE_SE9 0 1", "a.g2o:3: \"EDGE_SE9\" is no element of g2o that is known here"),
         ("VERTEX_SE2 1 0 0 0", "a.g2o:3: variable 1 is given twice"),
@@ -78,16 +84,37 @@ fn pyfg() {
 fn json() {
     let variables = r#""variables": [{"name": "x", "dim": 2}]"#;
     for (factor, expected) in [
-        (r#"{"variables": ["y"], "A": [[[1, 0]]], "b": [0], "noise_covariance": [[1]]}"#, "factors[0]: there is no variable \"y\""),
-        (r#"{"variables": ["x"], "A": [[[1]]], "b": [0], "noise_covariance": [[1]]}"#, "factors[0]: the matrix of x is not 1 by 2"),
-        (r#"{"variables": ["x"], "A": [], "b": [0], "noise_covariance": [[1]]}"#, "A has 0 matrices for 1 variables"),
-        (r#"{"variables": ["x"], "A": [[[1, 0]]], "b": [0], "noise_covariance": [[1, 2]]}"#, "noise_covariance is not 1 by 1"),
-        (r#"{"variables": ["x"], "A": [[[1, 0]]], "b": [0], "noise_covariance": [[-1]]}"#, "the noise covariance is not positive definite"),
+        (
+            r#"{"variables": ["y"], "A": [[[1, 0]]], "b": [0], "noise_covariance": [[1]]}"#,
+            "factors[0]: there is no variable \"y\"",
+        ),
+        (
+            r#"{"variables": ["x"], "A": [[[1]]], "b": [0], "noise_covariance": [[1]]}"#,
+            "factors[0]: the matrix of x is not 1 by 2",
+        ),
+        (
+            r#"{"variables": ["x"], "A": [], "b": [0], "noise_covariance": [[1]]}"#,
+            "A has 0 matrices for 1 variables",
+        ),
+        (
+            r#"{"variables": ["x"], "A": [[[1, 0]]], "b": [0], "noise_covariance": [[1, 2]]}"#,
+            "noise_covariance is not 1 by 1",
+        ),
+        (
+            r#"{"variables": ["x"], "A": [[[1, 0]]], "b": [0], "noise_covariance": [[-1]]}"#,
+            "the noise covariance is not positive definite",
+        ),
         (r#"{"variables": ["x"], "A": [[[1, 0]]], "b": [0]}"#, "missing field `noise_covariance`"),
     ] {
         let found = said("a.json", &format!("{{{variables}, \"factors\": [{factor}]}}"));
         assert!(found.starts_with("a.json") && found.contains(expected), "{factor}: {found}");
     }
-    assert!(said("a.json", "{\"variables\": [\n{\"name\": 3}]}").starts_with("a.json:2: is no linear-Gaussian graph"));
-    assert!(said("a.json", r#"{"variables": [{"name": "x", "dim": 0}], "factors": []}"#).contains("variables[0].dim is 0"));
+    assert!(
+        said("a.json", "{\"variables\": [\n{\"name\": 3}]}")
+            .starts_with("a.json:2: is no linear-Gaussian graph")
+    );
+    assert!(
+        said("a.json", r#"{"variables": [{"name": "x", "dim": 0}], "factors": []}"#)
+            .contains("variables[0].dim is 0")
+    );
 }

@@ -4,7 +4,9 @@ use sumprod_exact::observability::{FreeDirections, free_directions, mirror_image
 use sumprod_exact::{ExactError, Problem, SolveOptions};
 use sumprod_graph::{FactorGraph, Space, VariableId};
 use sumprod_messages::DynamicGaussian;
-use sumprod_models::library::{AnchorRange, CalibratedRange, PosePrior, Prior, Range, RelativePose, RelativePose3};
+use sumprod_models::library::{
+    AnchorRange, CalibratedRange, PosePrior, Prior, Range, RelativePose, RelativePose3,
+};
 use sumprod_models::pose::{Pose2, Pose3};
 use sumprod_models::{AddModel, Noise};
 
@@ -34,7 +36,8 @@ fn refused(graph: &Graph, start: &[&[f64]]) -> Vec<FreeDirections> {
 }
 
 fn chain(graph: &mut Graph, name: &str, length: usize) -> Vec<VariableId> {
-    let poses: Vec<_> = (0..length).map(|k| graph.variable(format!("{name}{k}"), Space::Se2).unwrap()).collect();
+    let poses: Vec<_> =
+        (0..length).map(|k| graph.variable(format!("{name}{k}"), Space::Se2).unwrap()).collect();
     for pair in poses.windows(2) {
         let step = RelativePose::new([1.0, 0.1, 0.3], noise(3)).unwrap();
         graph.add("odometry", step, pair).unwrap();
@@ -66,7 +69,9 @@ fn no_anchor() {
     assert_eq!(found.len(), 1);
     assert_eq!((found[0].dimension, found[0].variables.len(), found[0].apart), (3, 6, false));
     let said = found[0].to_string();
-    for word in ["position along x", "position along y", "orientation", "x0 … x5 (6 variables)", "prior on one pose"] {
+    for word in
+        ["position along x", "position along y", "orientation", "x0 … x5 (6 variables)", "prior on one pose"]
+    {
         assert!(said.contains(word), "{said}");
     }
 }

@@ -26,7 +26,11 @@ fn optimum(name: &str, expected: [f64; 2]) {
         let report = solution.report();
         println!("{name} {form:?}: {report:?}");
         // The record has six decimals.
-        assert!((report.cost - expected).abs() < 6e-7 * expected.max(1.0), "{name}: {} expected {expected}", report.cost);
+        assert!(
+            (report.cost - expected).abs() < 6e-7 * expected.max(1.0),
+            "{name}: {} expected {expected}",
+            report.cost
+        );
     }
 }
 
@@ -87,8 +91,10 @@ fn golden(name: &str, order: &[usize]) {
             let handle = graph.find(vertex).unwrap();
             let covariance = marginals.covariance(handle);
             let d = order.len();
-            let ordered: Vec<f64> =
-                order.iter().flat_map(|&row| order.iter().map(move |&column| covariance[row * d + column])).collect();
+            let ordered: Vec<f64> = order
+                .iter()
+                .flat_map(|&row| order.iter().map(move |&column| covariance[row * d + column]))
+                .collect();
             assert_close(&ordered, &numbers(&marginal["covariance"]), 1e-4, vertex);
             assert_close(&solution.marginal(handle).unwrap().covariance, covariance, 1e-8, vertex);
         }

@@ -8,10 +8,7 @@ impl Message for MixtureMessage {
     type Form = MixtureForm;
 
     fn vacuous(space: &Space) -> Self {
-        match space {
-            Space::Continuous(coordinates) => Self::flat(coordinates),
-            Space::Finite(_) => Self::flat(&[]),
-        }
+        Self::flat(space.coordinates().unwrap_or_default())
     }
 
     fn product(
@@ -94,7 +91,8 @@ impl Message for MixtureMessage {
             Space::Continuous(coordinates) if coordinates.is_empty() => {
                 Err("a mixture cannot hold a variable without coordinates".into())
             }
-            Space::Continuous(_) => Ok(()),
+            Space::Continuous(_) | Space::Se2 => Ok(()),
+            Space::Se3 => Err("a mixture cannot hold a pose in space: a mean of quaternions is none".into()),
             Space::Finite(states) => Err(format!("a mixture cannot hold a variable of {states} states")),
         }
     }

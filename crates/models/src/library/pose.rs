@@ -130,7 +130,8 @@ impl PoseGroup for Pose2 {
             }
         };
         // Ad of x₁⁻¹ x₀, the inverse of the relative pose.
-        let back = relative.map(|relative| relative.between(&Pose2 { x: 0.0, y: 0.0, heading: 0.0 }).adjoint());
+        let back =
+            relative.map(|relative| relative.between(&Pose2 { x: 0.0, y: 0.0, heading: 0.0 }).adjoint());
         write_blocks::<3>(&local, back.as_ref().map(<[f64; 9]>::as_slice), jacobian);
     }
 }
@@ -222,7 +223,11 @@ fn checked<G: PoseGroup>(
         if !quaternion.is_empty() {
             let length = quaternion.iter().map(|q| q * q).sum::<f64>().sqrt();
             if length < 1e-6 {
-                return Err(MessageError::NotPositiveDefinite { what: "the quaternion", pivot: 0, value: length });
+                return Err(MessageError::NotPositiveDefinite {
+                    what: "the quaternion",
+                    pivot: 0,
+                    value: length,
+                });
             }
             quaternion.iter_mut().for_each(|q| *q /= length);
         }

@@ -87,7 +87,17 @@ impl Pose2<f64> {
         let rest = rest * turn;
         let (a, b) = (forward * rest - left * versine, forward * versine + left * rest);
         let (cotangent, half) = (half_cotangent(turn), 0.5 * turn);
-        [cotangent, -half, -(cotangent * a - half * b), half, cotangent, -(half * a + cotangent * b), 0.0, 0.0, 1.0]
+        [
+            cotangent,
+            -half,
+            -(cotangent * a - half * b),
+            half,
+            cotangent,
+            -(half * a + cotangent * b),
+            0.0,
+            0.0,
+            1.0,
+        ]
     }
 
     /// The adjoint, row-major: X Exp(δ) X⁻¹ = Exp(Ad δ).

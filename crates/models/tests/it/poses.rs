@@ -11,7 +11,10 @@ use sumprod_models::{Manifold, Noise, check_expansion, check_residual};
 
 fn step(freedoms: usize, turn: f64) -> impl Strategy<Value = Vec<f64>> {
     let translation = if freedoms == 3 { 2 } else { 3 };
-    (prop::collection::vec(-3.0f64..3.0, translation), prop::collection::vec(-turn..turn, freedoms - translation))
+    (
+        prop::collection::vec(-3.0f64..3.0, translation),
+        prop::collection::vec(-turn..turn, freedoms - translation),
+    )
         .prop_map(|(translation, rotation)| [translation, rotation].concat())
 }
 

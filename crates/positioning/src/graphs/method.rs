@@ -63,7 +63,10 @@ impl MethodSettings {
         }
         let width = match self.kernel {
             Kernel::None => 1.0,
-            Kernel::Huber(width) | Kernel::Cauchy(width) | Kernel::GemanMcclure(width) | Kernel::Tukey(width) => width,
+            Kernel::Huber(width)
+            | Kernel::Cauchy(width)
+            | Kernel::GemanMcclure(width)
+            | Kernel::Tukey(width) => width,
         };
         if !(width > 0.0 && width.is_finite()) {
             let problem = format!("has a width of {width}; it must be positive and finite");
@@ -80,8 +83,11 @@ impl MethodSettings {
                 problem.set_kernel(kind, self.kernel);
             }
         }
-        let options =
-            SolveOptions { optimizer: self.optimizer, max_iterations: self.iterations, ..SolveOptions::default() };
+        let options = SolveOptions {
+            optimizer: self.optimizer,
+            max_iterations: self.iterations,
+            ..SolveOptions::default()
+        };
         match self.inference {
             Inference::GaussianBp => self.beliefs(&problem, prepared, out),
             Inference::Map => {

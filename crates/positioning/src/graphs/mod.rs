@@ -204,7 +204,11 @@ impl Scenario for Graphs {
     fn prepare(&self, _seed: u64, data: Option<&Path>) -> Result<Prepared, PositioningError> {
         let path = data.unwrap_or(Path::new(""));
         if path.is_dir() {
-            return Err(PositioningError::data(path, None, "is a folder; name one graph's file with --data FILE"));
+            return Err(PositioningError::data(
+                path,
+                None,
+                "is a folder; name one graph's file with --data FILE",
+            ));
         }
         let mut file = GraphFile::read(path).map_err(input)?;
         self.anchor(&mut file)?;

@@ -1,8 +1,8 @@
 //! The scenario end to end on small files.
 
 use super::*;
-use crate::metrics::Report;
 use crate::metrics::DiagnosticValue;
+use crate::metrics::Report;
 use std::path::PathBuf;
 
 const TRIANGLE: &str = "\
