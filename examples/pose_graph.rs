@@ -31,6 +31,7 @@ fn square() -> Result<(FactorGraph<DynamicGaussian>, Vec<VariableId>), Error> {
     Ok((graph, poses))
 }
 
+/// Solves the graph as it stands, which fails with a reason, and with an anchor.
 pub fn main() -> Result<(), Error> {
     let (mut graph, poses) = square()?;
     let problem = Problem::new(&graph)?;

@@ -213,6 +213,9 @@ fn name_rest(
     moving: &mut Vec<u32>,
     directions: &mut Vec<String>,
 ) -> Option<String> {
+    if rest.is_empty() {
+        return None;
+    }
     let mut labels: Vec<(String, Vec<u32>)> = Vec::new();
     let mut weakest: Option<(f64, String)> = None;
     for &variable in component {

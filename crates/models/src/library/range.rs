@@ -73,8 +73,10 @@ impl<const N: usize> Residual for Range<N> {
     }
 
     fn ring(&self, port: Port) -> Option<Ring> {
-        let (position, other) = (*self.positions.get(port)?, 1 - port);
-        Some(Ring { radius: self.measured, position, centre: RingCentre::Port(other, self.positions[other]) })
+        // A ring is one of the plane.
+        let position = <[usize; 2]>::try_from(self.positions.get(port)?.as_slice()).ok()?;
+        let centre = <[usize; 2]>::try_from(self.positions.get(1 - port)?.as_slice()).ok()?;
+        Some(Ring { radius: self.measured, position, centre: RingCentre::Port(1 - port, centre) })
     }
 }
 
