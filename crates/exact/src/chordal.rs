@@ -111,10 +111,10 @@ fn held(file: &GraphFile, relatives: &[Relative], size: usize) -> Vec<Option<Vec
     }
     let mut place: Vec<Option<(usize, Vec<f64>)>> = vec![None; count];
     for factor in &file.factors {
-        if let (Measurement::Prior(mean), [variable]) = (&factor.measurement, factor.variables.as_slice()) {
-            if mean.len() == if size == 2 { 3 } else { 7 } {
-                place[find(&mut root, *variable)].get_or_insert((*variable, mean.clone()));
-            }
+        if let (Measurement::Prior(mean), [variable]) = (&factor.measurement, factor.variables.as_slice())
+            && mean.len() == if size == 2 { 3 } else { 7 }
+        {
+            place[find(&mut root, *variable)].get_or_insert((*variable, mean.clone()));
         }
     }
     for relative in relatives {

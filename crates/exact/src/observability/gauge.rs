@@ -185,10 +185,10 @@ pub(super) fn describe(
     let mut rest = Vec::new();
     for vector in basis {
         let mut both = named.clone();
-        if add_orthonormal(&mut both, vector, 1e-4) {
-            if let Some(left) = both.pop() {
-                add_orthonormal(&mut rest, left, 1e-4);
-            }
+        if add_orthonormal(&mut both, vector, 1e-4)
+            && let Some(left) = both.pop()
+        {
+            add_orthonormal(&mut rest, left, 1e-4);
         }
     }
     rest.truncate(dimension.saturating_sub(whole));

@@ -219,18 +219,15 @@ fn checked<G: PoseGroup>(
 ) -> Result<G::Stored, MessageError> {
     finite(what, pose.as_ref())?;
     size(noise_of, noise.dimension(), G::FREEDOMS)?;
-    if let [_, _, _, quaternion @ ..] = pose.as_mut() {
-        if !quaternion.is_empty() {
-            let length = quaternion.iter().map(|q| q * q).sum::<f64>().sqrt();
-            if length < 1e-6 {
-                return Err(MessageError::NotPositiveDefinite {
-                    what: "the quaternion",
-                    pivot: 0,
-                    value: length,
-                });
-            }
-            quaternion.iter_mut().for_each(|q| *q /= length);
+    if let [_, _, _, quaternion @ ..] = pose.as_mut()
+        && !quaternion.is_empty()
+    {
+        let length = quaternion.iter().map(|q| q * q).sum::<f64>().sqrt();
+        if length < 1e-6 {
+            let what = "the quaternion";
+            return Err(MessageError::NotPositiveDefinite { what, pivot: 0, value: length });
         }
+        quaternion.iter_mut().for_each(|q| *q /= length);
     }
     Ok(pose)
 }
