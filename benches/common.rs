@@ -30,14 +30,19 @@ impl Timing {
     }
 
     /// Times `work` by the processor time of this thread, where the system tells it: other work on the machine then
-    /// counts for nothing.
+    /// counts for nothing. The system counts in ticks of some milliseconds, so that each of the `repeats` is of as
+    /// much work as fills a fifth of a second.
     pub fn of_thread<E>(repeats: usize, mut work: impl FnMut() -> Result<(), E>) -> Result<Self, E> {
+        let start = Instant::now();
+        work()?;
+        let batch = (0.2 / start.elapsed().as_secs_f64()).ceil().max(1.0) as usize;
         let mut seconds = Vec::with_capacity(repeats);
         for _ in 0..repeats {
             let (start, before) = (Instant::now(), thread_seconds());
-            work()?;
+            (0..batch).try_for_each(|_| work())?;
             let wall = start.elapsed().as_secs_f64();
-            seconds.push(before.zip(thread_seconds()).map_or(wall, |(before, after)| after - before));
+            let spent = before.zip(thread_seconds()).map_or(wall, |(before, after)| after - before);
+            seconds.push(spent / batch as f64);
         }
         seconds.sort_by(f64::total_cmp);
         Ok(Self(seconds))

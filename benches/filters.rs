@@ -149,11 +149,12 @@ fn main() -> Outcome<()> {
         let steps = if count < 1_000_000 { 100 } else { 30 };
         for with_bearing in [false, true] {
             let problem = problem(with_bearing, steps)?;
-            let repeats = (4_000_000 / count / steps * 4).clamp(5, 200);
+            let repeats = 7;
             let run = || problem.particles(count).map(drop).map_err(|error| error.to_string());
             let pool = |threads| rayon::ThreadPoolBuilder::new().num_threads(threads).build();
             let one = pool(1)?.install(|| Timing::of_thread(repeats, run))?;
-            let two = pool(2)?.install(|| Timing::of(repeats, run))?;
+            let two =
+                pool(2)?.install(|| Timing::of((4_000_000 / count / steps).clamp(repeats, 200), run))?;
             let rate = |seconds: f64| (count * steps) as f64 / seconds / 1e6;
             println!(
                 "{}, {count} particles: {:.1} M particle-steps a second of one core, {:.1} of two by the clock; RMSE {:.3} m (EKF {:.3} m)",
@@ -182,7 +183,7 @@ fn gaussian_steps() -> Outcome<()> {
     for (name, approximation) in ways {
         let mut filter = Kalman::<4>::new(&prior)?.approximated(approximation);
         let steps = 100_000;
-        let timing = Timing::of_thread(10, || -> Result<(), sumprod::filters::FilterError> {
+        let timing = Timing::of_thread(7, || -> Result<(), sumprod::filters::FilterError> {
             for _ in 0..steps {
                 filter.predict(black_box(&motion))?;
                 black_box(filter.correct(black_box(&fix))?);

@@ -7,11 +7,13 @@ use smallvec::SmallVec;
 use sumprod_graph::MessageError;
 
 /// A lower-triangular Cholesky factor L of a symmetric positive definite matrix A = L L'.
+///
+/// It is held in storage of its own, or, by [`Cholesky::in_place`], in the caller's.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Cholesky {
+pub struct Cholesky<S = SmallVec<[f64; 36]>> {
     dimension: usize,
     /// Row-major; the strict upper triangle is not read. The diagonal holds 1 / L(i, i).
-    factor: SmallVec<[f64; 36]>,
+    factor: S,
 }
 
 impl Cholesky {
@@ -27,22 +29,44 @@ impl Cholesky {
             let (found, expected) = (matrix.len(), dimension * dimension);
             return Err(MessageError::Dimension { what, found, expected });
         };
-        let mut factor: SmallVec<[f64; 36]> = SmallVec::from_slice(entries);
+        Self::in_place(SmallVec::from_slice(entries), dimension, what)
+    }
+}
+
+impl<S: AsRef<[f64]> + AsMut<[f64]>> Cholesky<S> {
+    /// As [`Cholesky::new`], in the storage of the matrix itself.
+    ///
+    /// # Errors
+    ///
+    /// As [`Cholesky::new`]; the matrix is then spoilt.
+    #[inline(always)]
+    pub fn in_place(mut matrix: S, dimension: usize, what: &'static str) -> Result<Self, MessageError> {
+        let length = matrix.as_ref().len();
+        let Some(factor) = matrix.as_mut().get_mut(..dimension * dimension) else {
+            let (found, expected) = (length, dimension * dimension);
+            return Err(MessageError::Dimension { what, found, expected });
+        };
         for row in 0..dimension {
+            let diagonal = factor[row * dimension + row];
             for column in 0..=row {
                 let (a, b) = (row * dimension, column * dimension);
                 let dot: f64 = (0..column).map(|k| factor[a + k] * factor[b + k]).sum();
                 let value = factor[a + column] - dot;
                 if column < row {
                     factor[a + column] = value * factor[b + column];
-                } else if value > pivot_floor(dimension, matrix[a + row]) && value.is_finite() {
+                } else if value > pivot_floor(dimension, diagonal) && value.is_finite() {
                     factor[a + row] = 1.0 / value.sqrt();
                 } else {
                     return Err(MessageError::NotPositiveDefinite { what, pivot: row, value });
                 }
             }
         }
-        Ok(Self { dimension, factor })
+        Ok(Self { dimension, factor: matrix })
+    }
+
+    #[inline(always)]
+    fn entries(&self) -> &[f64] {
+        self.factor.as_ref()
     }
 
     /// Solves A x = b in place, `b` of the matrix's dimension.
@@ -52,35 +76,35 @@ impl Cholesky {
     }
 
     /// Solves A X = B in place, `b` row-major of this many columns.
-    #[inline]
+    #[inline(always)]
     pub fn solve_columns(&self, b: &mut [f64], columns: usize) {
         let d = self.dimension;
         for row in 0..d {
             let (before, rest) = b.split_at_mut(row * columns);
             let own = &mut rest[..columns];
-            for (factor, above) in self.factor[row * d..].iter().zip(before.chunks_exact(columns)) {
+            for (factor, above) in self.entries()[row * d..].iter().zip(before.chunks_exact(columns)) {
                 own.iter_mut().zip(above).for_each(|(own, above)| *own -= factor * above);
             }
-            own.iter_mut().for_each(|own| *own *= self.factor[row * d + row]);
+            own.iter_mut().for_each(|own| *own *= self.entries()[row * d + row]);
         }
         for row in (0..d).rev() {
             let (before, after) = b.split_at_mut((row + 1) * columns);
             let own = &mut before[row * columns..];
             for (k, below) in (row + 1..d).zip(after.chunks_exact(columns)) {
-                let factor = self.factor[k * d + row];
+                let factor = self.entries()[k * d + row];
                 own.iter_mut().zip(below).for_each(|(own, below)| *own -= factor * below);
             }
-            own.iter_mut().for_each(|own| *own *= self.factor[row * d + row]);
+            own.iter_mut().for_each(|own| *own *= self.entries()[row * d + row]);
         }
     }
 
     /// Solves L y = b in place.
-    #[inline]
+    #[inline(always)]
     pub fn solve_lower(&self, b: &mut [f64]) {
         let d = self.dimension;
         for row in 0..d {
-            let dot: f64 = (0..row).map(|k| self.factor[row * d + k] * b[k]).sum();
-            b[row] = (b[row] - dot) * self.factor[row * d + row];
+            let dot: f64 = (0..row).map(|k| self.entries()[row * d + k] * b[k]).sum();
+            b[row] = (b[row] - dot) * self.entries()[row * d + row];
         }
     }
 
@@ -88,8 +112,8 @@ impl Cholesky {
     pub fn solve_upper(&self, b: &mut [f64]) {
         let d = self.dimension;
         for row in (0..d).rev() {
-            let dot: f64 = (row + 1..d).map(|k| self.factor[k * d + row] * b[k]).sum();
-            b[row] = (b[row] - dot) * self.factor[row * d + row];
+            let dot: f64 = (row + 1..d).map(|k| self.entries()[k * d + row] * b[k]).sum();
+            b[row] = (b[row] - dot) * self.entries()[row * d + row];
         }
     }
 
@@ -97,8 +121,8 @@ impl Cholesky {
     pub fn multiply_lower(&self, z: &[f64], out: &mut [f64]) {
         let d = self.dimension;
         for row in 0..d {
-            let below: f64 = (0..row).map(|k| self.factor[row * d + k] * z[k]).sum();
-            out[row] = below + z[row] / self.factor[row * d + row];
+            let below: f64 = (0..row).map(|k| self.entries()[row * d + k] * z[k]).sum();
+            out[row] = below + z[row] / self.entries()[row * d + row];
         }
     }
 
@@ -116,14 +140,14 @@ impl Cholesky {
     }
 
     /// Log determinant of A.
-    #[inline]
+    #[inline(always)]
     pub fn log_determinant(&self) -> f64 {
         let d = self.dimension;
-        -2.0 * (0..d).map(|k| self.factor[k * d + k].ln()).sum::<f64>()
+        -2.0 * (0..d).map(|k| self.entries()[k * d + k].ln()).sum::<f64>()
     }
 
     /// Squared Mahalanobis length x' A⁻¹ x; overwrites `x`.
-    #[inline]
+    #[inline(always)]
     pub fn squared_length(&self, x: &mut [f64]) -> f64 {
         self.solve_lower(x);
         x.iter().map(|y| y * y).sum()

@@ -18,6 +18,7 @@ pub(crate) type Lanes = DualSVec64<LANES>;
 /// The value and the derivative of `f` at `x` (length n): writes f (length m) and the m by n row-major Jacobian.
 ///
 /// `f` is evaluated once per four inputs.
+#[inline]
 pub(crate) fn differentiate(
     x: &[f64],
     value: &mut [f64],

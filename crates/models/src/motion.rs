@@ -179,6 +179,11 @@ pub trait Motion: Send + Sync {
     fn constant_noise(&self) -> Option<&ProcessNoise> {
         None
     }
+
+    /// Writes F (row-major) and returns true where the step is x' = F x at every state: no derivative is taken then.
+    fn constant_transition(&self, _transition: &mut [f64]) -> bool {
+        false
+    }
 }
 
 impl<T: Motion> Motion for &T {
@@ -196,6 +201,10 @@ impl<T: Motion> Motion for &T {
 
     fn constant_noise(&self) -> Option<&ProcessNoise> {
         (**self).constant_noise()
+    }
+
+    fn constant_transition(&self, transition: &mut [f64]) -> bool {
+        (**self).constant_transition(transition)
     }
 }
 

@@ -124,6 +124,10 @@ impl<R: Residual> Residual for &R {
     fn known_place(&self) -> Option<&[f64]> {
         (**self).known_place()
     }
+
+    fn ring(&self, port: Port) -> Option<Ring> {
+        (**self).ring(port)
+    }
 }
 
 /// What the columns of a derivative stand for.

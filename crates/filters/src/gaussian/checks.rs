@@ -67,13 +67,21 @@ pub(crate) fn measured<R: Residual>(residual: &R, expected: usize) -> Result<(),
 /// # Errors
 ///
 /// The first entry that is not, under the name of its matrix.
+#[inline(always)]
 pub(crate) fn step(mean: &[f64], covariance: &[f64], what: &'static str) -> Result<(), MessageError> {
-    let d = mean.len();
+    // Nothing but what is not finite survives a multiplication by zero.
+    let stain = |values: &[f64]| values.iter().map(|value| value * 0.0).sum::<f64>();
+    let stain = stain(mean) + stain(covariance);
+    let least = covariance.iter().step_by(mean.len() + 1).copied().fold(0.0, f64::min);
+    if stain == 0.0 && least >= 0.0 { Ok(()) } else { Err(refused(mean, covariance, what)) }
+}
+
+#[cold]
+fn refused(mean: &[f64], covariance: &[f64], what: &'static str) -> MessageError {
     if let Some(&value) = mean.iter().chain(covariance).find(|value| !value.is_finite()) {
-        return Err(MessageError::NotFinite { what, value });
+        return MessageError::NotFinite { what, value };
     }
-    match (0..d).map(|k| (k, covariance[k * d + k])).find(|(_, variance)| *variance < 0.0) {
-        Some((pivot, value)) => Err(MessageError::NotPositiveDefinite { what, pivot, value }),
-        None => Ok(()),
-    }
+    let mut variances = covariance.iter().step_by(mean.len() + 1).enumerate();
+    let (pivot, &value) = variances.find(|(_, variance)| **variance < 0.0).unwrap_or((0, &f64::NAN));
+    MessageError::NotPositiveDefinite { what, pivot, value }
 }

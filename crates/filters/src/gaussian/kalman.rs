@@ -7,10 +7,11 @@ use smallvec::SmallVec;
 use sumprod_graph::{MessageError, wrap_angle};
 use sumprod_messages::Moments;
 use sumprod_models::moments::{
-    Line, SigmaMoments, SigmaPoints, correct, correct_by_regression, linearise_motion, noise_against,
-    propagate, semidefinite_factor, sigma_moments, symmetrise,
+    Line, SigmaMoments, SigmaPoints, correct, correct_by_regression, correction_storage, linearise_motion,
+    linearise_residual, noise_against, propagate, semidefinite_factor, sigma_moments, sigma_storage,
+    symmetrise,
 };
-use sumprod_models::{Linearised, Motion, Residual, ResidualModel};
+use sumprod_models::{Motion, Residual};
 
 use super::{Approximation, checks, rts};
 use crate::{Correct, Correction, Filter, FilterError, Predict, Run, Smooth};
@@ -121,21 +122,42 @@ impl<const D: usize> Kalman<D> {
         &self.covariance
     }
 
-    /// Corrects by the line that the approximation gives, from the prediction as it is.
+    /// Corrects by what the approximation gives, from the prediction as it is, in storage of a fixed size where the
+    /// residual has few components.
     #[inline]
     fn corrected<R: Residual>(&self, residual: &R) -> Result<(Posterior<D>, Correction), MessageError> {
         checks::measured(residual, D)?;
+        let m = residual.noise().dimension();
+        let length = storage(m, D);
+        let mut few = [0.0; FEW];
+        match m {
+            1 if length <= FEW => self.corrected_in::<1, R>(1, residual, &mut few),
+            2 if length <= FEW => self.corrected_in::<2, R>(2, residual, &mut few),
+            3 if length <= FEW => self.corrected_in::<3, R>(3, residual, &mut few),
+            _ => self.corrected_in::<0, R>(m, residual, &mut vec![0.0; length]),
+        }
+    }
+
+    /// For a residual of `M` components, or, where `M` is 0, of `m`.
+    #[inline(always)]
+    fn corrected_in<const M: usize, R: Residual>(
+        &self,
+        m: usize,
+        residual: &R,
+        storage: &mut [f64],
+    ) -> Result<(Posterior<D>, Correction), MessageError> {
+        let m = if M > 0 { M } else { m };
+        if let Some(points) = self.approximation.points(D) {
+            return self.regressed(points, residual, m, storage);
+        }
         let steps = match self.approximation {
             Approximation::Iterated(most) => most.max(1),
             _ => 1,
         };
-        if let Some(points) = self.approximation.points(D) {
-            return self.regressed(points, residual);
-        }
         let mut at = self.mean;
         let mut step = 0;
         loop {
-            let (posterior, correction) = self.linearised_at(&at, residual)?;
+            let (posterior, correction) = self.linearised_at(&at, residual, m, storage)?;
             step += 1;
             if step >= steps || moved(&posterior, &at) < CONVERGED {
                 return Ok((posterior, correction));
@@ -144,37 +166,50 @@ impl<const D: usize> Kalman<D> {
         }
     }
 
-    /// The posterior where the residual is expanded at a point: r(x) ≈ r(x̄) + J (x - x̄).
-    #[inline]
+    /// The posterior where the residual of `m` components is expanded at a point: r(x) ≈ r(x̄) + J (x - x̄).
+    #[inline(always)]
     fn linearised_at<R: Residual>(
         &self,
         at: &[f64; D],
         residual: &R,
+        m: usize,
+        storage: &mut [f64],
     ) -> Result<(Posterior<D>, Correction), MessageError> {
-        let m = residual.noise().dimension();
-        let mut value: SmallVec<[f64; 6]> = SmallVec::from_elem(0.0, m);
-        let mut jacobian: SmallVec<[f64; 36]> = SmallVec::from_elem(0.0, m * D);
-        ResidualModel(residual).linearise(at, &mut value, &mut jacobian);
+        let (value, storage) = storage.split_at_mut(m);
+        let (jacobian, storage) = storage.split_at_mut(m * D);
+        let (noise, storage) = storage.split_at_mut(m * m);
+        linearise_residual(residual, at, value, jacobian);
         if at != &self.mean {
             for (value, row) in value.iter_mut().zip(jacobian.chunks_exact(D)) {
                 *value += (0..D).map(|k| row[k] * (self.mean[k] - at[k])).sum::<f64>();
             }
         }
-        let covariance = self.covariance.as_flattened();
-        let noise = noise_against(residual.noise(), &value, &jacobian, covariance);
-        let line = Line { value: &value, jacobian: &jacobian, noise: &noise };
+        noise_against(residual.noise(), value, jacobian, self.covariance.as_flattened(), noise);
+        let line = Line { value, jacobian, noise };
         let mut posterior = Posterior { mean: self.mean, covariance: self.covariance };
-        let found = correct(line, &mut posterior.mean, posterior.covariance.as_flattened_mut())?;
+        let found = correct(line, &mut posterior.mean, posterior.covariance.as_flattened_mut(), storage)?;
         checks::step(&posterior.mean, posterior.covariance.as_flattened(), "the corrected covariance")?;
-        value.iter_mut().for_each(|value| *value = -*value);
-        let correction = Correction {
-            log_likelihood: found.log_likelihood,
-            innovation: value,
-            innovation_covariance: found.innovation_covariance,
-            recovered: false,
-        };
+        let correction = correction(found.log_likelihood, value, found.innovation_covariance);
         Ok((posterior, correction))
     }
+}
+
+/// Numbers that a correction keeps for a residual of few components.
+const FEW: usize = 80;
+
+/// How many numbers a correction keeps for a residual of `m` components.
+fn storage(m: usize, d: usize) -> usize {
+    let line = m + m * d + m * m + correction_storage(m, d);
+    line.max(d * d + sigma_storage(m, d) + m * m + correction_storage(m, d))
+}
+
+/// What a correction by a residual of this mean tells.
+#[inline(always)]
+fn correction(log_likelihood: f64, residual: &[f64], innovation_covariance: &[f64]) -> Correction {
+    let mut innovation: SmallVec<[f64; 6]> = SmallVec::from_slice(residual);
+    innovation.iter_mut().for_each(|value| *value = -*value);
+    let innovation_covariance = SmallVec::from_slice(innovation_covariance);
+    Correction { log_likelihood, innovation, innovation_covariance, recovered: false }
 }
 
 impl<const D: usize> Kalman<D> {
@@ -183,43 +218,42 @@ impl<const D: usize> Kalman<D> {
         (self.mean, self.covariance) = (mean, covariance);
     }
 
-    /// The posterior by sigma points.
+    /// The posterior by sigma points, for a residual of `m` components.
+    #[inline(always)]
     fn regressed<R: Residual>(
         &self,
         points: SigmaPoints,
         residual: &R,
+        m: usize,
+        storage: &mut [f64],
     ) -> Result<(Posterior<D>, Correction), MessageError> {
-        let mut lower = [[0.0; D]; D];
-        let covariance = self.covariance.as_flattened();
-        semidefinite_factor(covariance, D, "the covariance", lower.as_flattened_mut())?;
-        let model = ResidualModel(residual);
+        let (lower, storage) = storage.split_at_mut(D * D);
+        let (spread, storage) = storage.split_at_mut(m * m);
+        let (moments, storage) = storage.split_at_mut(sigma_storage(m, D));
+        semidefinite_factor(self.covariance.as_flattened(), D, "the covariance", lower)?;
         let angles = residual.angles();
-        let SigmaMoments { mean: mut value, covariance: mut spread, cross } = sigma_moments(
-            points,
-            &self.mean,
-            lower.as_flattened(),
-            residual.noise().dimension(),
-            |x, out| model.evaluate(x, out),
-            |difference| angles.iter().for_each(|&k| difference[k] = wrap_angle(difference[k])),
-        );
+        let wrap = |difference: &mut [f64]| {
+            angles.iter().for_each(|&k| difference[k] = wrap_angle(difference[k]));
+        };
+        let evaluate = |x: &[f64], out: &mut [f64]| {
+            residual.residual(&[x], out);
+            wrap(out);
+        };
+        let SigmaMoments { mean: value, covariance, cross } =
+            sigma_moments(points, &self.mean, lower, m, evaluate, wrap, moments);
         let noise = residual.noise();
         let share = match noise.degrees_of_freedom() {
             None => 1.0,
-            Some(_) => noise.weight(noise.expected_squared_length(&value, &spread)),
+            Some(_) => noise.weight(noise.expected_squared_length(value, covariance)),
         };
-        spread.iter_mut().zip(noise.covariance()).for_each(|(sum, own)| *sum += own / share);
+        for (sum, (own, noise)) in spread.iter_mut().zip(covariance.iter().zip(noise.covariance())) {
+            *sum = own + noise / share;
+        }
         let mut posterior = Posterior { mean: self.mean, covariance: self.covariance };
         let flat = posterior.covariance.as_flattened_mut();
-        let found = correct_by_regression(&value, &cross, &spread, &mut posterior.mean, flat)?;
+        let log_likelihood = correct_by_regression(value, cross, spread, &mut posterior.mean, flat, storage)?;
         checks::step(&posterior.mean, posterior.covariance.as_flattened(), "the corrected covariance")?;
-        value.iter_mut().for_each(|value| *value = -*value);
-        let correction = Correction {
-            log_likelihood: found.log_likelihood,
-            innovation: value,
-            innovation_covariance: found.innovation_covariance,
-            recovered: false,
-        };
-        Ok((posterior, correction))
+        Ok((posterior, correction(log_likelihood, value, spread)))
     }
 
     /// Mean, covariance and cross-covariance of f(x), without noise.
@@ -239,10 +273,18 @@ impl<const D: usize> Kalman<D> {
                 let mut lower = zero;
                 semidefinite_factor(covariance, D, "the covariance", lower.as_flattened_mut())?;
                 let step = |x: &[f64], out: &mut [f64]| motion.step(x, out);
-                let found = sigma_moments(points, &self.mean, lower.as_flattened(), D, step, |_| ());
-                next.mean.copy_from_slice(&found.mean);
-                next.cross.as_flattened_mut().copy_from_slice(&found.cross);
-                next.covariance.as_flattened_mut().copy_from_slice(&found.covariance);
+                let (mut few, mut many) = ([0.0; FEW], Vec::new());
+                let storage = match sigma_storage(D, D) {
+                    length if length <= FEW => &mut few[..],
+                    length => {
+                        many.resize(length, 0.0);
+                        &mut many
+                    }
+                };
+                let found = sigma_moments(points, &self.mean, lower.as_flattened(), D, step, |_| (), storage);
+                next.mean.copy_from_slice(found.mean);
+                next.cross.as_flattened_mut().copy_from_slice(found.cross);
+                next.covariance.as_flattened_mut().copy_from_slice(found.covariance);
             }
         }
         Ok(next)

@@ -7,8 +7,8 @@
 use smallvec::SmallVec;
 use sumprod_graph::MessageError;
 use sumprod_messages::Moments;
-use sumprod_models::moments::{linearise_motion, noise_against, semidefinite_factor};
-use sumprod_models::{Linearised, Motion, Residual, ResidualModel};
+use sumprod_models::moments::{linearise_motion, linearise_residual, noise_against, semidefinite_factor};
+use sumprod_models::{Motion, Residual};
 
 use super::kalman::{GaussianRecord, Prediction, Square};
 use super::{checks, rts};
@@ -131,9 +131,10 @@ impl<const D: usize, R: Residual> Correct<R> for SquareRoot<D> {
         let m = measurement.noise().dimension();
         let mut value: SmallVec<[f64; 6]> = SmallVec::from_elem(0.0, m);
         let mut jacobian = vec![0.0; m * D];
-        ResidualModel(measurement).linearise(&self.mean, &mut value, &mut jacobian);
+        linearise_residual(measurement, &self.mean, &mut value, &mut jacobian);
         let covariance = self.covariance();
-        let noise = noise_against(measurement.noise(), &value, &jacobian, covariance.as_flattened());
+        let mut noise = vec![0.0; m * m];
+        noise_against(measurement.noise(), &value, &jacobian, covariance.as_flattened(), &mut noise);
         let size = m + D;
         let mut root = vec![0.0; m * m];
         semidefinite_factor(&noise, m, "the noise covariance", &mut root).map_err(&failed)?;

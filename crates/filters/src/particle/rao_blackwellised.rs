@@ -15,10 +15,10 @@ use sumprod_graph::{MessageError, Purpose, Stream};
 use sumprod_messages::Moments;
 use sumprod_models::cloud::{Selection, select};
 use sumprod_models::moments::{
-    Line, add_product_transposed, correct, cross_covariance, heavy_log_density, linearise_motion,
-    noise_against, semidefinite_factor,
+    Line, add_product_transposed, correct, correction_storage, cross_covariance, heavy_log_density,
+    linearise_motion, linearise_residual, noise_against, semidefinite_factor,
 };
-use sumprod_models::{Linearised, Motion, Residual, ResidualModel};
+use sumprod_models::{Motion, Residual};
 use sumprod_optimizers::{Trigger, effective_sample_size};
 
 use crate::gaussian::checks;
@@ -203,17 +203,19 @@ impl RaoBlackwellised {
         let m = residual.noise().dimension();
         let mut value: Vector = SmallVec::from_elem(0.0, m);
         let mut full = Matrix::from_elem(0.0, m * d);
-        ResidualModel(residual).linearise(&particle.state, &mut value, &mut full);
+        linearise_residual(residual, &particle.state, &mut value, &mut full);
         let others = &self.order[s..];
         let jacobian: Matrix = (0..m)
             .flat_map(|row| others.iter().map(move |&column| row * d + column))
             .map(|i| full[i])
             .collect();
-        let noise = noise_against(residual.noise(), &value, &jacobian, &particle.covariance);
+        let mut noise = Matrix::from_elem(0.0, m * m);
+        noise_against(residual.noise(), &value, &jacobian, &particle.covariance, &mut noise);
         let mut mean: Vector = others.iter().map(|&index| particle.state[index]).collect();
         let mut next = particle.clone();
         let line = Line { value: &value, jacobian: &jacobian, noise: &noise };
-        let found = correct(line, &mut mean, &mut next.covariance)?;
+        let mut storage: SmallVec<[f64; 128]> = SmallVec::from_elem(0.0, correction_storage(m, mean.len()));
+        let found = correct(line, &mut mean, &mut next.covariance, &mut storage)?;
         let noise = residual.noise();
         let log_likelihood = match noise.degrees_of_freedom() {
             None => found.log_likelihood,

@@ -85,11 +85,37 @@ impl Motion for ConstantVelocity {
     fn constant_noise(&self) -> Option<&ProcessNoise> {
         Some(&self.noise)
     }
+
+    #[inline]
+    fn constant_transition(&self, transition: &mut [f64]) -> bool {
+        let d = 2 * self.axes;
+        transition.fill(0.0);
+        for axis in 0..self.axes {
+            transition[2 * axis * (d + 1)] = 1.0;
+            transition[2 * axis * (d + 1) + 1] = self.interval;
+            transition[(2 * axis + 1) * (d + 1)] = 1.0;
+        }
+        true
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_transition_is_the_steps_derivative() {
+        let motion = ConstantVelocity::white_acceleration(3, 0.7, 1.0).unwrap();
+        let mut transition = [f64::NAN; 36];
+        assert!(motion.constant_transition(&mut transition));
+        let (mut unit, mut column) = ([0.0; 6], [0.0; 6]);
+        for k in 0..6 {
+            unit[k] = 1.0;
+            motion.step(&unit, &mut column);
+            assert!((0..6).all(|row| transition[row * 6 + k] == column[row]), "{k}");
+            unit[k] = 0.0;
+        }
+    }
 
     #[test]
     fn noise_that_overflows_is_refused() {

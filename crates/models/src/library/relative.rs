@@ -1,7 +1,7 @@
 //! Relative positions: between two variables, and to an anchor whose own position may be uncertain.
 
 use super::checks::{coordinates, finite, size};
-use crate::{Noise, Real, Residual};
+use crate::{Chart, Noise, Real, Residual};
 use sumprod_graph::MessageError;
 
 /// A measured offset p₁ - p₀ in the world's frame: r = p₁ - p₀ - z.
@@ -51,6 +51,19 @@ impl Residual for RelativePosition {
         for (k, out) in out.iter_mut().enumerate() {
             *out = x[1][to[k]] - x[0][from[k]] - self.measured[k];
         }
+    }
+
+    fn closed_form(&self, x: &[&[f64]], residual: &mut [f64], jacobian: &mut [f64]) -> Option<Chart> {
+        self.residual(x, residual);
+        let [first, second] = self.dimensions;
+        jacobian.fill(0.0);
+        for (row, (from, to)) in
+            jacobian.chunks_exact_mut(first + second).zip(self.positions[0].iter().zip(&self.positions[1]))
+        {
+            row[*from] = -1.0;
+            row[first + to] = 1.0;
+        }
+        Some(Chart::Coordinates)
     }
 }
 
@@ -103,6 +116,16 @@ impl Residual for AnchorOffset {
         for ((out, &coordinate), target) in out.iter_mut().zip(&self.position).zip(&self.target) {
             *out = x[0][coordinate] - *target;
         }
+    }
+
+    #[inline]
+    fn closed_form(&self, x: &[&[f64]], residual: &mut [f64], jacobian: &mut [f64]) -> Option<Chart> {
+        self.residual(x, residual);
+        jacobian.fill(0.0);
+        for (row, &coordinate) in jacobian.chunks_exact_mut(self.dimensions[0]).zip(&self.position) {
+            row[coordinate] = 1.0;
+        }
+        Some(Chart::Coordinates)
     }
 }
 

@@ -3,8 +3,6 @@
 //! With L L' = P, the points are the mean and, per column of L, mean ± s L. Values are averaged as offsets from that
 //! at the mean, so that angles can be wrapped. Sources: Julier and Uhlmann 2004; Arasaratnam and Haykin 2009.
 
-use crate::small::{Matrix, Vector};
-use smallvec::SmallVec;
 use sumprod_graph::MessageError;
 
 /// Where sigma points lie and how they are weighted.
@@ -34,48 +32,64 @@ impl SigmaPoints {
 }
 
 /// Moments of y = f(x) of a Gaussian x.
-#[derive(Clone, Debug, PartialEq)]
-pub struct SigmaMoments {
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SigmaMoments<'a> {
     /// Mean of y.
-    pub mean: SmallVec<[f64; 6]>,
+    pub mean: &'a [f64],
     /// Covariance of y (m by m), row-major.
-    pub covariance: SmallVec<[f64; 36]>,
+    pub covariance: &'a [f64],
     /// Cross-covariance of y with x (m by n), row-major.
-    pub cross: SmallVec<[f64; 36]>,
+    pub cross: &'a [f64],
 }
 
-/// The moments of f at a Gaussian of this mean and lower factor L of the covariance (row-major).
+/// How many numbers [`sigma_moments`] keeps for m values of n coordinates.
+pub const fn sigma_storage(m: usize, n: usize) -> usize {
+    m * m + m * n + 4 * m + n
+}
+
+/// The moments of f, of m values, at a Gaussian of this mean and lower factor L of the covariance (row-major).
 ///
 /// `f` writes y, of length m, for a point; `wrap` brings the angles of a difference of two y into (-π, π].
+///
+/// # Panics
+///
+/// Where `storage` is shorter than [`sigma_storage`].
 #[inline(always)]
-pub fn sigma_moments(
+pub fn sigma_moments<'a>(
     points: SigmaPoints,
     at: &[f64],
     lower: &[f64],
     m: usize,
     mut f: impl FnMut(&[f64], &mut [f64]),
     wrap: impl Fn(&mut [f64]),
-) -> SigmaMoments {
+    storage: &'a mut [f64],
+) -> SigmaMoments<'a> {
     let n = at.len();
-    let mut centre = Vector::from_elem(0.0, m);
-    f(at, &mut centre);
-    let (mut shift, mut covariance, mut cross) =
-        (Vector::from_elem(0.0, m), Matrix::from_elem(0.0, m * m), Matrix::from_elem(0.0, m * n));
-    let mut point = Vector::from_slice(at);
-    let (mut above, mut below) = (centre.clone(), centre.clone());
+    let (covariance, storage) = storage.split_at_mut(m * m);
+    let (cross, storage) = storage.split_at_mut(m * n);
+    let (centre, storage) = storage.split_at_mut(m);
+    let (shift, storage) = storage.split_at_mut(m);
+    let (above, storage) = storage.split_at_mut(m);
+    let (below, storage) = storage.split_at_mut(m);
+    let point = &mut storage[..n];
+    f(at, centre);
+    covariance.fill(0.0);
+    cross.fill(0.0);
+    shift.fill(0.0);
+    point.copy_from_slice(at);
     for column in 0..n {
-        for (sign, value) in [(1.0, &mut above), (-1.0, &mut below)] {
+        for (sign, value) in [(1.0, &mut *above), (-1.0, &mut *below)] {
             for row in column..n {
                 point[row] = at[row] + sign * points.spread * lower[row * n + column];
             }
-            f(&point, value);
-            value.iter_mut().zip(&centre).for_each(|(value, centre)| *value -= centre);
+            f(point, value);
+            value.iter_mut().zip(&*centre).for_each(|(value, centre)| *value -= centre);
             wrap(value);
         }
         point[column..n].copy_from_slice(&at[column..n]);
         for row in 0..m {
             shift[row] += points.each * (above[row] + below[row]);
-            for other in 0..m {
+            for other in 0..=row {
                 covariance[row * m + other] +=
                     points.each * (above[row] * above[other] + below[row] * below[other]);
             }
@@ -86,11 +100,12 @@ pub fn sigma_moments(
         }
     }
     for row in 0..m {
-        for other in 0..m {
+        for other in 0..=row {
             covariance[row * m + other] += (points.total - 2.0) * shift[row] * shift[other];
+            covariance[other * m + row] = covariance[row * m + other];
         }
     }
-    centre.iter_mut().zip(&shift).for_each(|(mean, shift)| *mean += shift);
+    centre.iter_mut().zip(&*shift).for_each(|(mean, shift)| *mean += shift);
     SigmaMoments { mean: centre, covariance, cross }
 }
 
@@ -163,12 +178,15 @@ mod tests {
         semidefinite_factor(&covariance, 2, "test", &mut lower).unwrap();
         let f = |x: &[f64], y: &mut [f64]| y[0] = x[0] * x[0] + x[1];
         for points in [SigmaPoints::cubature(2), SigmaPoints::unscented(2, 1.0, 0.0, 1.0)] {
-            let found = sigma_moments(points, &at, &lower, 1, f, |_| ());
+            let mut storage = [0.0; sigma_storage(1, 2)];
+            let found = sigma_moments(points, &at, &lower, 1, f, |_| (), &mut storage);
             assert!((found.mean[0] - (2.25 + 0.4 - 0.5)).abs() < 1e-13);
             assert!((found.cross[0] - (3.0 * 0.4 + 0.1)).abs() < 1e-13);
             assert!((found.cross[1] - (3.0 * 0.1 + 0.3)).abs() < 1e-13);
         }
-        let found = sigma_moments(SigmaPoints::unscented(2, 1.0, 0.0, 1.0), &at, &lower, 1, f, |_| ());
+        let mut storage = [0.0; sigma_storage(1, 2)];
+        let points = SigmaPoints::unscented(2, 1.0, 0.0, 1.0);
+        let found = sigma_moments(points, &at, &lower, 1, f, |_| (), &mut storage);
         let exact = 9.0 * 0.4 + 2.0 * 3.0 * 0.1 + 0.3 + 2.0 * 0.16;
         assert!((found.covariance[0] - exact).abs() < 1e-13, "{} {exact}", found.covariance[0]);
     }

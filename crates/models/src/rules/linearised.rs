@@ -9,7 +9,7 @@
 
 use super::{GaussianDraft, GaussianView};
 use crate::Linearised;
-use crate::moments::{SigmaPoints, semidefinite_factor, sigma_moments};
+use crate::moments::{SigmaPoints, semidefinite_factor, sigma_moments, sigma_storage};
 use crate::small::{
     Matrix, Proper, Vector, WELL_CONDITIONED, generalised_inverse, multiply, multiply_add, proper,
     symmetrise, transpose, zero_vector, zeros,
@@ -178,6 +178,7 @@ fn regress(model: &dyn Linearised, beliefs: &[Belief], parts: &[Range<usize>]) -
             lower[(part.start + row) * n + part.start..][..part.len()].copy_from_slice(entries);
         }
     }
+    let mut storage: SmallVec<[f64; 128]> = SmallVec::from_elem(0.0, sigma_storage(m, n));
     let found = sigma_moments(
         SigmaPoints::cubature(n),
         &point,
@@ -189,9 +190,10 @@ fn regress(model: &dyn Linearised, beliefs: &[Belief], parts: &[Range<usize>]) -
                 difference[angle] = sumprod_graph::wrap_angle(difference[angle]);
             }
         },
+        &mut storage,
     );
     // The slope is Ψ' P⁻¹, Ψ the cross-covariance.
-    let cross = &found.cross;
+    let cross = found.cross;
     let mut jacobian = zeros(m * n);
     for (belief, part) in beliefs.iter().zip(parts) {
         let covariance = belief.covariance.as_deref().unwrap_or_default();
@@ -209,7 +211,7 @@ fn regress(model: &dyn Linearised, beliefs: &[Belief], parts: &[Range<usize>]) -
         *noise += all - explained;
     }
     symmetrise(&mut noise, m);
-    Ok(Line { point, value: found.mean, jacobian, noise })
+    Ok(Line { point, value: Vector::from_slice(found.mean), jacobian, noise })
 }
 
 /// Heavy-tailed noise: the covariance is divided by the weight of the residual. Its length is the expectation over
