@@ -44,10 +44,7 @@ pub struct PMpa {
 
 impl PMpa {
     fn method(&self, id: &str) -> Result<&MethodSettings, PositioningError> {
-        let method = self.method.get(id).ok_or_else(|| PositioningError::UnknownMethod {
-            method: id.to_owned(),
-            known: self.method.ids(),
-        })?;
+        let method = self.method.named(id)?;
         method.admit(id, &self.world)?;
         Ok(method)
     }
@@ -135,21 +132,12 @@ impl PMpa {
         let mut filter = Filter::new(&self.world, method, world, 0).map_err(failed)?;
         filter.open(step).map_err(failed)?;
         let graph = filter.window.graph().map_err(|error| failed(error.into()))?;
-        let forms = filter::form_uses(method, &self.world, world, step);
-        Ok(GraphSummary {
-            method: id.to_owned(),
-            extent: format!("scan {step} of run 0, the one with the most neighbours, and its start"),
-            variables: graph.variable_count(),
-            factors: graph.factor_count(),
-            edges: graph.edge_count(),
-            components: graph.components().len(),
-            loops: graph.loop_count(),
-            forms: forms
-                .into_iter()
-                .map(|(kind, form, edges)| FormUse { kind: kind.to_owned(), form, edges })
-                .collect(),
-            unconstrained: Vec::new(),
-        })
+        let forms = filter::form_uses(method, &self.world, world, step)
+            .into_iter()
+            .map(|(kind, form, edges)| FormUse { kind: kind.to_owned(), form, edges })
+            .collect();
+        let extent = format!("scan {step} of run 0, the one with the most neighbours, and its start");
+        Ok(GraphSummary::new(id, extent, &graph, forms))
     }
 }
 

@@ -63,10 +63,7 @@ impl Prepared {
 
 impl Product {
     fn method(&self, id: &str, prepared: &Prepared) -> Result<&MethodSettings, PositioningError> {
-        let method = self.method.get(id).ok_or_else(|| PositioningError::UnknownMethod {
-            method: id.to_owned(),
-            known: self.method.ids(),
-        })?;
+        let method = self.method.named(id)?;
         let (choices, limit) = (prepared.choices(), Exact::default().limit);
         if method.product == ProductChoice::Exact && choices > limit as f64 {
             let problem = format!(

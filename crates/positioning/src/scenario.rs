@@ -14,7 +14,7 @@ use std::path::Path;
 use serde::de::{DeserializeOwned, MapAccess, Visitor};
 use serde::ser::SerializeMap;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
-use sumprod_graph::{Purpose, Stream};
+use sumprod_graph::{Factor, FactorGraph, Message, Purpose, Stream};
 
 use crate::error::PositioningError;
 use crate::results::RunResult;
@@ -102,6 +102,15 @@ impl<M> Methods<M> {
     /// The settings of one method.
     pub fn get(&self, id: &str) -> Option<&M> {
         self.0.iter().find(|(name, _)| name == id).map(|(_, method)| method)
+    }
+
+    /// The settings of a method that must be there.
+    ///
+    /// # Errors
+    /// [`PositioningError::UnknownMethod`].
+    pub fn named(&self, id: &str) -> Result<&M, PositioningError> {
+        self.get(id)
+            .ok_or_else(|| PositioningError::UnknownMethod { method: id.to_owned(), known: self.ids() })
     }
 
     /// Ids in order.
@@ -246,6 +255,28 @@ pub struct GraphSummary {
     pub forms: Vec<FormUse>,
     /// One sentence for each set of directions that no factor constrains, and what would.
     pub unconstrained: Vec<String>,
+}
+
+impl GraphSummary {
+    /// Size and shape of the graph of method `id`, in which nothing is unconstrained.
+    pub fn new<M: Message, F: Factor<M>>(
+        id: &str,
+        extent: impl Into<String>,
+        graph: &FactorGraph<M, F>,
+        forms: Vec<FormUse>,
+    ) -> Self {
+        Self {
+            method: id.to_owned(),
+            extent: extent.into(),
+            variables: graph.variable_count(),
+            factors: graph.factor_count(),
+            edges: graph.edge_count(),
+            components: graph.components().len(),
+            loops: graph.loop_count(),
+            forms,
+            unconstrained: Vec::new(),
+        }
+    }
 }
 
 /// How one kind of edge holds its messages.

@@ -64,14 +64,7 @@ pub struct Prepared {
     calibration: Calibration,
 }
 
-impl Walk {
-    fn method(&self, id: &str) -> Result<&MethodSettings, PositioningError> {
-        self.method.get(id).ok_or_else(|| PositioningError::UnknownMethod {
-            method: id.to_owned(),
-            known: self.method.ids(),
-        })
-    }
-}
+impl Walk {}
 
 impl Scenario for Walk {
     const SYSTEM: &'static str = "wsn-walk";
@@ -100,7 +93,7 @@ impl Scenario for Walk {
     fn run(&self, prepared: &Prepared, request: RunRequest<'_>) -> Result<RunResult, PositioningError> {
         let mut methods = Vec::with_capacity(request.methods.len());
         for id in request.methods {
-            let (method, seed) = (self.method(id)?, request.method_seed(id));
+            let (method, seed) = (self.method.named(id)?, request.method_seed(id));
             methods.push(MethodRun::timed(id, StateLayout::planar_position(), |out| {
                 track::run(prepared, &self.model, method, seed, out)?;
                 out.diagnose("independent_share", prepared.calibration.independent_share());
@@ -127,7 +120,7 @@ impl Scenario for Walk {
     ) -> Result<Vec<GraphSummary>, PositioningError> {
         let links = prepared.recording.pairs().len();
         let summary = |id: &String| {
-            let form = self.method(id)?.form(&prepared.area);
+            let form = self.method.named(id)?.form(&prepared.area);
             let of = |kind: &str, edges| FormUse { kind: kind.to_owned(), form: form.clone(), edges };
             Ok(GraphSummary {
                 method: id.clone(),

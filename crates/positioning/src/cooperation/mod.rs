@@ -58,15 +58,8 @@ pub struct Cooperation {
 }
 
 impl Cooperation {
-    fn method(&self, id: &str) -> Result<&Method, PositioningError> {
-        self.method.get(id).ok_or_else(|| PositioningError::UnknownMethod {
-            method: id.to_owned(),
-            known: self.method.ids(),
-        })
-    }
-
     fn run_method(&self, id: &str, draw: &Draw, seed: u64) -> Result<MethodRun, PositioningError> {
-        let method = self.method(id)?;
+        let method = self.method.named(id)?;
         // The campaign spreads runs over threads; a run keeps to its own.
         let options = Options { seed, parallel: false, ..Options::default() };
         MethodRun::timed(id, StateLayout::planar_velocity(), |out| {
@@ -178,7 +171,7 @@ impl Scenario for Cooperation {
         let draw = self.world.draw(seed, 0)?;
         let Some(slice) = draw.slices.first() else { return Ok(Vec::new()) };
         let summary = |id: &String| {
-            let method = self.method(id)?;
+            let method = self.method.named(id)?;
             let failed = |error: GraphError| PositioningError::method(id, error);
             let (world, options) = (&self.world, Options::default());
             if method.joint {
@@ -206,15 +199,5 @@ fn summarise<F: Factor<AnyMessage>>(id: &str, graph: &FactorGraph<AnyMessage, F>
         }
     }
     forms.sort_by_key(|form| KINDS.iter().position(|kind| *kind == form.kind));
-    GraphSummary {
-        method: id.to_owned(),
-        extent: "the start and the first slice".into(),
-        variables: graph.variable_count(),
-        factors: graph.factor_count(),
-        edges: graph.edge_count(),
-        components: graph.components().len(),
-        loops: graph.loop_count(),
-        forms,
-        unconstrained: Vec::new(),
-    }
+    GraphSummary::new(id, "the start and the first slice", graph, forms)
 }

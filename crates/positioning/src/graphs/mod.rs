@@ -109,13 +109,6 @@ pub struct Prepared {
 }
 
 impl Graphs {
-    fn method(&self, id: &str) -> Result<&MethodSettings, PositioningError> {
-        self.method.get(id).ok_or_else(|| PositioningError::UnknownMethod {
-            method: id.to_owned(),
-            known: self.method.ids(),
-        })
-    }
-
     /// Holds a variable, where nothing else ties the file's poses to the world.
     fn anchor(&self, file: &mut GraphFile) -> Result<(), PositioningError> {
         let world = &self.world;
@@ -225,7 +218,7 @@ impl Scenario for Graphs {
         let mut answers: Vec<(String, Answer)> = Vec::new();
         let mut failed = None;
         for id in request.methods {
-            let settings = self.method(id)?;
+            let settings = self.method.named(id)?;
             let mut answer = None;
             let run = MethodRun::timed(id, marginals::layout(), |out| {
                 match settings.run(prepared, out) {
@@ -271,16 +264,10 @@ impl Scenario for Graphs {
         let mirrored = mirror_images(&problem, &prepared.start).map_err(input)?;
         let free = free.iter().map(ToString::to_string);
         let sentences: Vec<String> = free.chain(mirrored.iter().map(ToString::to_string)).collect();
+        let forms = FormUse { kind: "all".into(), form: "gaussian".into(), edges: graph.edge_count() };
         let summary = |id: &String| GraphSummary {
-            method: id.clone(),
-            extent: "the whole file".into(),
-            variables: graph.variable_count(),
-            factors: graph.factor_count(),
-            edges: graph.edge_count(),
-            components: graph.components().len(),
-            loops: graph.loop_count(),
-            forms: vec![FormUse { kind: "all".into(), form: "gaussian".into(), edges: graph.edge_count() }],
             unconstrained: sentences.clone(),
+            ..GraphSummary::new(id, "the whole file", graph, vec![forms.clone()])
         };
         Ok(methods.iter().map(summary).collect())
     }

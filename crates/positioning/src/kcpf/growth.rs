@@ -35,13 +35,6 @@ pub struct Growth {
 }
 
 impl Growth {
-    fn method(&self, id: &str) -> Result<&MethodSettings, PositioningError> {
-        self.method.get(id).ok_or_else(|| PositioningError::UnknownMethod {
-            method: id.to_owned(),
-            known: self.method.ids(),
-        })
-    }
-
     fn track(
         &self,
         method: &MethodSettings,
@@ -82,14 +75,14 @@ impl Scenario for Growth {
             StateLayout { names: vec!["x".into()], position: vec![], velocity: vec![], angular: vec![] };
         let mut methods = Vec::with_capacity(request.methods.len());
         for id in request.methods {
-            let (method, seed) = (self.method(id)?, request.method_seed(id));
+            let (method, seed) = (self.method.named(id)?, request.method_seed(id));
             methods.push(MethodRun::timed(id, layout.clone(), |out| self.track(method, &steps, seed, out))?);
         }
         Ok(RunResult { run: request.run, nodes: vec!["state".to_owned()], methods, ..RunResult::default() })
     }
 
     fn check(&self, (): &(), _seed: u64, methods: &[String]) -> Result<Vec<GraphSummary>, PositioningError> {
-        methods.iter().map(|id| Ok(summary(id, self.method(id)?))).collect()
+        methods.iter().map(|id| Ok(summary(id, self.method.named(id)?))).collect()
     }
 }
 

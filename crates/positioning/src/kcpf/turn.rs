@@ -44,13 +44,6 @@ pub struct Turn {
 }
 
 impl Turn {
-    fn method(&self, id: &str) -> Result<&MethodSettings, PositioningError> {
-        self.method.get(id).ok_or_else(|| PositioningError::UnknownMethod {
-            method: id.to_owned(),
-            known: self.method.ids(),
-        })
-    }
-
     fn segments(&self) -> Vec<Segment> {
         let WorldSettings { steps, turn_first, turn_last, .. } = self.world;
         [
@@ -97,7 +90,7 @@ impl Scenario for Turn {
         };
         let mut methods = Vec::with_capacity(request.methods.len());
         for id in request.methods {
-            let (method, seed) = (self.method(id)?, request.method_seed(id));
+            let (method, seed) = (self.method.named(id)?, request.method_seed(id));
             methods.push(MethodRun::timed(id, layout.clone(), |out| {
                 track::run::<5, _, _>(method, &prior, &steps, seed, out)
             })?);
@@ -113,6 +106,6 @@ impl Scenario for Turn {
     }
 
     fn check(&self, (): &(), _seed: u64, methods: &[String]) -> Result<Vec<GraphSummary>, PositioningError> {
-        methods.iter().map(|id| Ok(growth::summary(id, self.method(id)?))).collect()
+        methods.iter().map(|id| Ok(growth::summary(id, self.method.named(id)?))).collect()
     }
 }

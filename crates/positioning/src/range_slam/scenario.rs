@@ -80,17 +80,7 @@ impl Scenario for RangeSlam {
                     let edges = factors.map(|factor| graph.ports(factor).count()).sum();
                     FormUse { kind: kind.to_owned(), form: form.to_string(), edges }
                 });
-                Ok(GraphSummary {
-                    method: id.to_owned(),
-                    extent: "the last step".to_owned(),
-                    variables: graph.variable_count(),
-                    factors: graph.factor_count(),
-                    edges: graph.edge_count(),
-                    components: graph.components().len(),
-                    loops: graph.loop_count(),
-                    forms: forms.into(),
-                    unconstrained: Vec::new(),
-                })
+                Ok(GraphSummary::new(id, "the last step", &graph, forms.into()))
             })
             .collect()
     }

@@ -272,17 +272,7 @@ pub fn summary<C: Chain>(id: &str, chain: &C, plan: Plan) -> Result<GraphSummary
         let edges = factors.map(|factor| graph.ports(factor).count()).sum();
         FormUse { kind: kind.to_owned(), form: AnyForm::gaussian().name().to_owned(), edges }
     });
-    Ok(GraphSummary {
-        method: id.to_owned(),
-        extent,
-        variables: graph.variable_count(),
-        factors: graph.factor_count(),
-        edges: graph.edge_count(),
-        components: graph.components().len(),
-        loops: graph.loop_count(),
-        forms: forms.filter(|form| form.edges > 0).collect(),
-        unconstrained: Vec::new(),
-    })
+    Ok(GraphSummary::new(id, extent, &graph, forms.filter(|form| form.edges > 0).collect()))
 }
 
 #[cfg(test)]
