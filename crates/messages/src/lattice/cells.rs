@@ -138,6 +138,17 @@ impl Lattice {
         cell.map(|index| (f64::from(index) + 0.5) * self.width)
     }
 
+    /// The middle of the first of the cells with the largest log value (m).
+    pub fn heaviest(&self) -> [f64; 2] {
+        let mut best = 0;
+        for (place, &value) in self.log_values.iter().enumerate() {
+            if value > self.log_values[best] {
+                best = place;
+            }
+        }
+        self.cells.get(best).map_or([0.0; 2], |&cell| self.centre(cell))
+    }
+
     /// Log value at a point (m); by bisection.
     pub fn log_at(&self, point: [f64; 2]) -> f64 {
         let cell = point.map(|x| (x / self.width).floor() as i32);

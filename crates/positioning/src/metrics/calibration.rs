@@ -5,7 +5,7 @@ use super::MethodMetrics;
 /// Coverage of the 95 % region below this is called over-confident whatever the NEES says, in a single run.
 const LEAST_COVERAGE: f64 = 0.85;
 /// The same where runs tell the coverage's standard error, and it is below 95 % by more than three of them.
-const LEAST_COVERAGE_OF_MANY: f64 = 0.92;
+const LEAST_COVERAGE_OF_MANY: f64 = 0.935;
 /// Coverage of 95 % intervals above this is called too cautious.
 const MOST_COVERAGE: f64 = 0.98;
 /// Limits of the position NEES per degree of freedom where a single run gives no band.
@@ -33,7 +33,7 @@ pub enum Verdict {
 
 impl MethodMetrics {
     /// Judges the position, or a state that has none: over-confident if the mean NEES is above its 95 % band (above 2
-    /// per degree of freedom in a single run) or the 95 % region covers less than 85 % (92 % where many runs tell),
+    /// per degree of freedom in a single run) or the 95 % region covers less than 85 % (93.5 % where many runs tell),
     /// cautious if the mean NEES is below the band (below 0.5 in a single run). Where the method gives intervals it is
     /// judged by their coverage alone, cautious above 98 %. `None` without a NEES and coverage.
     pub fn calibration(&self) -> Option<Calibration> {

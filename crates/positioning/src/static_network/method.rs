@@ -33,6 +33,10 @@ pub struct Method {
     /// Share of the old message kept in the Gaussian rounds.
     #[serde(default)]
     pub damping: f64,
+    /// Whether the joint posterior around the beliefs has the last word: groups of agents that fit better in their
+    /// mirror image go there, and covariances are those of joint windows instead of messages around loops.
+    #[serde(default)]
+    pub joint: bool,
 }
 
 /// A start known to 100 m, which says next to nothing and holds whoever measures nobody.

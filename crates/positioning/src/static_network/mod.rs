@@ -7,14 +7,18 @@
 //! |---|---|---|
 //! | `gaussian-bp` | no `cells` | linearised Gaussian messages from the weak start |
 //! | `nbp` | `cells`, `rounds` | messages on a lattice of the plane, coarse and then fine |
-//! | `nbp-refined` | and `gaussian_rounds` | the same; edges into agents whose belief has become one mode turn Gaussian |
+//! | `nbp-refined` | and `gaussian_rounds`, `joint` | the same; edges into agents whose belief has become one mode turn Gaussian; the joint posterior around these beliefs has the last word |
 //!
 //! The model is that of [`World`]. Sources: Ihler, Fisher, Moses and Willsky, "Nonparametric belief propagation for
 //! self-localization of sensor networks" (2005), which also takes silence for evidence.
 
 mod anchorage;
+mod folds;
+mod joint;
+mod loose;
 mod method;
 mod network;
+mod posterior;
 mod silence;
 mod world;
 
@@ -27,6 +31,7 @@ use serde::{Deserialize, Serialize};
 use sumprod_graph::{FactorGraph, GraphError, Options};
 use sumprod_messages::{LatticeForm, LatticeMessage};
 
+use joint::Joint;
 pub use method::Method;
 pub use world::{Draw, World};
 
@@ -47,22 +52,17 @@ pub struct StaticNetwork {
 }
 
 impl StaticNetwork {
-    fn method(&self, id: &str) -> Result<&Method, PositioningError> {
-        self.method.get(id).ok_or_else(|| PositioningError::UnknownMethod {
-            method: id.to_owned(),
-            known: self.method.ids(),
-        })
-    }
-
     fn run_method(&self, id: &str, draw: &Draw, seed: u64) -> Result<MethodRun, PositioningError> {
-        let method = self.method(id)?;
+        let method = self.method.named(id)?;
         let failed = |error: GraphError| PositioningError::method(id, error);
         let options = Options { seed, max_iterations: usize::MAX, ..Options::default() };
         let mut out = MethodRun::timed(id, StateLayout::planar_position(), |out| {
             let graph = network::graph(&self.world, draw, method).map_err(failed)?;
             let mut run = Run::new(&graph, &self.world, draw, options).map_err(failed)?;
             run.complete(method).map_err(failed)?;
-            report(&run, draw, out)
+            let joint = method.joint.then(|| run.joint(&self.world, draw, method)).transpose();
+            let joint = joint.map_err(|error| PositioningError::method(id, error))?;
+            report(&run, draw, joint.as_ref(), out)
         })?;
         let floating = anchorage::floating(draw).len();
         if floating > 0 {
@@ -72,7 +72,12 @@ impl StaticNetwork {
     }
 }
 
-fn report(run: &Run<'_>, draw: &Draw, out: &mut MethodRun) -> Result<(), PositioningError> {
+fn report(
+    run: &Run<'_>,
+    draw: &Draw,
+    joint: Option<&Joint>,
+    out: &mut MethodRun,
+) -> Result<(), PositioningError> {
     let mut costs = Costs::default();
     run.messages().for_each(|(kind, message)| costs.message(kind, message));
     let mut undecided = 0;
@@ -80,8 +85,10 @@ fn report(run: &Run<'_>, draw: &Draw, out: &mut MethodRun) -> Result<(), Positio
         let belief = run.belief(agent);
         costs.belief(belief);
         undecided += usize::from(belief.lattice().is_some());
-        let (mean, covariance) =
-            belief.moments().map_err(|error| PositioningError::method(&out.id, error))?;
+        let (mean, covariance) = match joint {
+            Some(joint) => joint.moments[agent],
+            None => belief.moments().map_err(|error| PositioningError::method(&out.id, error))?,
+        };
         out.push(0, 0.0, agent as u32, truth, mean.as_slice(), covariance.as_slice())?;
     }
     costs.report(out);
@@ -92,6 +99,11 @@ fn report(run: &Run<'_>, draw: &Draw, out: &mut MethodRun) -> Result<(), Positio
         let note = "edges into an agent whose belief had become one mode changed from lattice to Gaussian during the \
                     run; `form_changes` counts them";
         out.notes.push(note.into());
+    }
+    if let Some(joint) = joint {
+        out.diagnose("folds_undone", joint.folds_undone as f64);
+        out.diagnose("mirror_images", joint.images as f64);
+        out.diagnose("agents_on_an_arc", joint.on_an_arc as f64);
     }
     Ok(())
 }
@@ -138,7 +150,7 @@ impl Scenario for StaticNetwork {
     fn check(&self, (): &(), seed: u64, methods: &[String]) -> Result<Vec<GraphSummary>, PositioningError> {
         let draw = self.world.draw(seed, 0)?;
         let summary = |id: &String| {
-            let graph = network::graph(&self.world, &draw, self.method(id)?)
+            let graph = network::graph(&self.world, &draw, self.method.named(id)?)
                 .map_err(|error| PositioningError::method(id, error))?;
             Ok(summarise(id, &graph, &draw))
         };
@@ -167,14 +179,7 @@ fn summarise(id: &str, graph: &FactorGraph<LatticeMessage>, draw: &Draw) -> Grap
         format!("no chain of ranges leads from {who} to an anchor: their weak start alone holds them")
     });
     GraphSummary {
-        method: id.to_owned(),
-        extent: "the network of the first run".into(),
-        variables: graph.variable_count(),
-        factors: graph.factor_count(),
-        edges: graph.edge_count(),
-        components: graph.components().len(),
-        loops: graph.loop_count(),
-        forms: forms.collect(),
         unconstrained: unconstrained.into_iter().collect(),
+        ..GraphSummary::new(id, "the network of the first run", graph, forms.collect())
     }
 }

@@ -6,7 +6,9 @@ use sumprod_graph::{EdgeId, Engine, FactorGraph, GraphError, MessageError, Optio
 use sumprod_messages::{Gaussian, LatticeForm, LatticeMessage};
 use sumprod_models::{LatticeRange, Noise, Silence};
 
+use super::joint::{Joint, Moments, joint};
 use super::method::{GAUSSIAN, Method, OWN};
+use super::posterior::{Link, Posterior, links, missed};
 use super::silence::{Silent, silent};
 use super::world::{Draw, World};
 
@@ -14,9 +16,6 @@ use super::world::{Draw, World};
 pub(super) const ANCHOR: &str = "anchor";
 pub(super) const RANGE: &str = "range";
 pub(super) const SILENCE: &str = "silence";
-
-/// Probability that a link in reach fails, at least: a lattice's cells and a neighbour's wrong belief are no proof.
-const LEAST_LOSS: f64 = 1e-3;
 
 /// The graph of a network, its variables the agents in order.
 pub(super) fn graph(
@@ -49,8 +48,7 @@ pub(super) fn graph(
         pairs.push(graph.factor(RANGE, Box::new(factor), &range.agents.map(|agent| agents[agent]))?);
     }
     // Gaussian edges have no use for silence.
-    if world.silence && form != GAUSSIAN {
-        let missed = world.link_loss.max(LEAST_LOSS);
+    if let Some(missed) = missed(world).filter(|_| form != GAUSSIAN) {
         let Silent { agents: silent_agents, anchors } = silent(draw, world.radius);
         for pair in silent_agents {
             let factor = Silence::between(world.radius, missed).map_err(invalid)?;
@@ -82,19 +80,13 @@ pub(super) struct Changes {
     pub(super) agents: usize,
 }
 
-/// The other end of a range.
-#[derive(Clone, Copy, Debug)]
-enum End {
-    Agent(usize),
-    Anchor([f64; 2]),
-}
-
 /// A run of one method on one network.
 pub(super) struct Run<'g> {
     engine: Engine<'g, LatticeMessage>,
     agents: Vec<VariableId>,
     /// Whom each agent measures.
-    links: Vec<Vec<End>>,
+    links: Vec<Vec<Link>>,
+    anchors: Vec<[f64; 2]>,
     range_variance: f64,
     /// Whether each agent's edges are Gaussian.
     gaussian: Vec<bool>,
@@ -111,22 +103,14 @@ impl<'g> Run<'g> {
         options: Options,
     ) -> Result<Self, GraphError> {
         let agents: Vec<VariableId> = graph.variable_ids().collect();
-        let mut links = vec![Vec::new(); agents.len()];
-        for range in &draw.ranges {
-            let [a, b] = range.agents;
-            links[a].push(End::Agent(b));
-            links[b].push(End::Agent(a));
-        }
-        for range in &draw.anchor_ranges {
-            links[range.agent].push(End::Anchor(draw.anchors[range.anchor]));
-        }
         let range_variance = world.range_variance;
         let gaussian = vec![false; agents.len()];
         let engine = Engine::new(graph, options)?;
         Ok(Self {
             engine,
             agents,
-            links,
+            links: links(draw),
+            anchors: draw.anchors.clone(),
             range_variance,
             gaussian,
             changes: Changes::default(),
@@ -213,10 +197,10 @@ impl<'g> Run<'g> {
     /// Variance along the worst axis (m²) that an agent's ranges leave, linearised at `mean`.
     fn linearised_variance(&self, agent: usize, mean: Vector2<f64>) -> f64 {
         let mut information = Matrix2::zeros();
-        for &end in &self.links[agent] {
-            let (at, covariance) = match end {
-                End::Anchor(at) => (Vector2::from(at), Matrix2::zeros()),
-                End::Agent(other) => match self.belief(other).moments() {
+        for link in &self.links[agent] {
+            let (at, covariance) = match link.node.checked_sub(self.agents.len()) {
+                Some(anchor) => (Vector2::from(self.anchors[anchor]), Matrix2::zeros()),
+                None => match self.belief(link.node).moments() {
                     Ok(moments) => moments,
                     Err(_) => continue,
                 },
@@ -235,6 +219,19 @@ impl<'g> Run<'g> {
     /// An agent's belief.
     pub(super) fn belief(&self, agent: usize) -> &LatticeMessage {
         self.engine.belief(self.agents[agent])
+    }
+
+    /// What the joint posterior around the beliefs says of every agent.
+    pub(super) fn joint(&self, world: &World, draw: &Draw, method: &Method) -> Result<Joint, MessageError> {
+        let beliefs: Vec<Moments> =
+            (0..self.agents.len()).map(|agent| self.belief(agent).moments()).collect::<Result<_, _>>()?;
+        let place = |agent: usize| match self.belief(agent).lattice() {
+            Some(lattice) => lattice.heaviest(),
+            None => beliefs[agent].0.into(),
+        };
+        let places = (0..beliefs.len()).map(place).collect();
+        let posterior = Posterior::new(world, draw, method.start_variance, places);
+        Ok(joint(posterior, beliefs, method.one_mode_deviation))
     }
 
     /// Every message with the kind of its factor.

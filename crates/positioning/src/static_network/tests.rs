@@ -1,5 +1,8 @@
 //! Flips that a network resolves, forms that change on the way, and the same bits on any number of threads.
 
+use nalgebra::{Matrix2, Vector2};
+
+use super::posterior::Posterior;
 use super::*;
 
 fn scenario(agents: usize) -> StaticNetwork {
@@ -7,7 +10,7 @@ fn scenario(agents: usize) -> StaticNetwork {
     let text = format!(
         r#"{{"world": {{"agents": {agents}, "anchors_per_100": 13.0, "radius": 20.0, "range_variance": 0.25}},
             "method": {{"gaussian-bp": {{"gaussian_rounds": 60, "damping": 0.3, "start_variance": 225.0}},
-                        "nbp": {{{lattice}}}, "nbp-refined": {{{lattice}, "gaussian_rounds": 30}}}}}}"#
+                        "nbp": {{{lattice}}}, "nbp-refined": {{{lattice}, "gaussian_rounds": 30, "joint": true}}}}}}"#
     );
     serde_json::from_str(&text).unwrap()
 }
@@ -46,6 +49,76 @@ fn a_network_resolves_the_flips_that_linearised_messages_keep() {
         assert!(diagnostic(refined, "form_changes").unwrap() > 1000.0);
         assert!(refined.notes.iter().any(|note| note.contains("changed from lattice to Gaussian")));
     }
+}
+
+/// The window's covariances are those of the whole network in one; beyond its margin a belief stands for the rest.
+#[test]
+fn windows_agree_with_the_whole_network() {
+    let scenario = scenario(300);
+    let draw = scenario.world.draw(2, 0).unwrap();
+    let posterior = Posterior::new(&scenario.world, &draw, 1e4, draw.truth.clone());
+    let on_an_arc = loose::loose(&posterior, 2.0);
+    let part: Vec<usize> = (0..300).filter(|&agent| !on_an_arc[agent]).collect();
+    let mut whole = posterior.clone();
+    for agent in (0..300).filter(|&agent| on_an_arc[agent]) {
+        whole.spreads[agent] = Matrix2::identity() * 1e8;
+    }
+    let from: Vec<[f64; 2]> = part.iter().map(|&agent| draw.truth[agent]).collect();
+    let settled = whole.settle(&part, &from).unwrap();
+    let beliefs: Vec<_> =
+        draw.truth.iter().map(|&place| (Vector2::from(place), Matrix2::identity() * 0.2)).collect();
+    let windows = joint::joint(posterior, beliefs, 2.0);
+    assert_eq!(windows.moments.len(), 300);
+    let mut largest: f64 = 0.0;
+    for (own, covariance) in settled.covariances().into_iter().enumerate() {
+        // Mirror images widen a covariance; few have one.
+        let found = windows.moments[part[own]].1;
+        largest = largest.max(1.0 - found.trace() / covariance.trace());
+    }
+    assert!(largest < 0.1, "{largest}");
+}
+
+#[test]
+fn one_range_leaves_a_ring() {
+    let scenario = scenario(1);
+    let draw = Draw {
+        truth: vec![[10.0, 0.0]],
+        anchors: vec![[0.0, 0.0]],
+        ranges: Vec::new(),
+        anchor_ranges: vec![crate::cooperation::AnchorRanging { agent: 0, anchor: 0, measured: 10.0 }],
+        start: vec![[0.0, 0.0]],
+    };
+    let posterior = Posterior::new(&scenario.world, &draw, 1e6, vec![[10.0, 0.0]]);
+    assert_eq!(loose::loose(&posterior, 2.0), [true]);
+    let near = posterior.reach(&posterior.places);
+    let (mean, covariance) = loose::moments(&posterior, &near, 0).unwrap();
+    assert!(mean.norm() < 1e-9, "{mean}");
+    // E r² / 2 of a ring of this radius and width, the density of r being r times the Gaussian.
+    let expected = 0.5 * (100.0 + 3.0 * 0.25);
+    let off = (covariance - Matrix2::identity() * expected).norm();
+    assert!(off < 0.01 * expected, "{covariance}");
+}
+
+/// 900 agents of nine networks, whose shares inside differ by 3 % (one deviation): the bound on the share is three
+/// standard errors of the nine.
+#[test]
+fn the_joint_posterior_is_calibrated() {
+    let scenario = scenario(100);
+    let methods = vec!["nbp-refined".to_owned()];
+    let (mut inside, mut nees) = (0.0, 0.0);
+    for run in 0..9 {
+        let result = scenario.run(&(), RunRequest { seed: 3, run, methods: &methods }).unwrap();
+        for estimate in result.methods[0].estimates() {
+            let [mean, truth] = [estimate.mean, estimate.truth].map(Vector2::from_column_slice);
+            let error = mean - truth;
+            let [xx, xy, yy] = [0, 1, 2].map(|entry| estimate.covariance[entry]);
+            let covariance = Matrix2::new(xx, xy, xy, yy);
+            let square = error.dot(&(covariance.try_inverse().unwrap() * error));
+            inside += f64::from(u8::from(square < 5.991)) / 900.0;
+            nees += square / 1800.0;
+        }
+    }
+    assert!((inside - 0.95).abs() < 0.03 && nees < 1.3, "{inside} {nees}");
 }
 
 #[test]
