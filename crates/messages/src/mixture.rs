@@ -199,6 +199,13 @@ impl Mixture {
         }
     }
 
+    /// The first of the components with the largest weight.
+    fn heaviest(&self) -> usize {
+        // The largest first, by itself, which needs no number to be carried along.
+        let largest = crate::vector::largest(&self.log_weights);
+        self.log_weights.iter().position(|&log| log == largest).unwrap_or(0)
+    }
+
     /// Makes the weights sum to one and returns the log of their total.
     fn normalise(&mut self, what: &'static str) -> Result<f64, MessageError> {
         let total = match self.log_weights.iter().find(|log| log.is_nan()) {

@@ -163,6 +163,42 @@ impl pulp::NullaryFnOnce for Exponentials<'_> {
     }
 }
 
+/// The sum of e to the power `logs` - `shift`, as [`exponentials`] but for the order, in storage of fixed size.
+pub fn sum_of_exponentials(logs: &[f64], shift: f64) -> f64 {
+    let mut total = 0.0;
+    each_stretch(logs, shift, |_, stretch| {
+        total += sum(stretch);
+        true
+    });
+    total
+}
+
+/// Calls `visit` with e to the power `logs` - `shift`, a stretch at a time and where it begins, until it returns false.
+pub fn each_stretch(logs: &[f64], shift: f64, mut visit: impl FnMut(usize, &[f64]) -> bool) {
+    const STRETCH: usize = 512;
+    let mut values = [0.0; STRETCH];
+    for (number, logs) in logs.chunks(STRETCH).enumerate() {
+        let out = &mut values[..logs.len()];
+        widest(Exponentials { logs, shift, out: &mut *out });
+        if !visit(number * STRETCH, out) {
+            break;
+        }
+    }
+}
+
+/// The largest number, minus infinity of none, without regard for NaN: in eight interleaved parts.
+#[inline(always)]
+pub fn largest(values: &[f64]) -> f64 {
+    let mut lanes = [f64::NEG_INFINITY; 8];
+    let (chunks, rest) = values.as_chunks::<8>();
+    for chunk in chunks {
+        for (lane, &value) in lanes.iter_mut().zip(chunk) {
+            *lane = greater(value, *lane);
+        }
+    }
+    lanes.iter().chain(rest).fold(f64::NEG_INFINITY, |best, &value| greater(value, best))
+}
+
 /// The sum in eight interleaved parts: a fixed order that vectorises.
 #[inline(always)]
 pub fn sum(values: &[f64]) -> f64 {
@@ -186,6 +222,18 @@ fn vanishing_exp(x: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_largest_is_found_wherever_it_is() {
+        for length in 0..30 {
+            for place in 0..length {
+                let values: Vec<f64> =
+                    (0..length).map(|k| if k == place { -1.0 } else { -2.0 - k as f64 }).collect();
+                assert_eq!(largest(&values), -1.0);
+            }
+        }
+        assert_eq!(largest(&[]), f64::NEG_INFINITY);
+    }
 
     #[test]
     fn the_exponential_agrees_with_the_library() {

@@ -161,6 +161,10 @@ impl Kernels {
             let start = block as usize * BLOCK;
             let end = (start + BLOCK).min(self.count);
             let (order, logs) = (&self.order[start..end], &scratch.exponents[start..end]);
+            if floor == f64::NEG_INFINITY {
+                visit(order, logs, plan.constant);
+                continue;
+            }
             let mut from = 0;
             while let Some(first) = logs[from..].iter().position(|&log| log >= floor) {
                 let begin = from + first;

@@ -3,6 +3,7 @@
 use super::Mixture;
 use super::small::{Small, root, wrap_point};
 use crate::Particles;
+use crate::vector::{each_stretch, sum_of_exponentials};
 use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
 use sumprod_graph::{FastStream, MessageError, Stream};
@@ -52,7 +53,24 @@ impl Mixture {
 
     /// `count` component numbers in ascending order, by a comb with one random offset.
     pub(super) fn comb(&self, count: usize, random: &mut FastStream) -> Vec<usize> {
-        comb(&self.cumulative(), count, random.random())
+        let offset: f64 = random.random();
+        let total = sum_of_exponentials(&self.log_weights, 0.0);
+        let height = |tooth: usize| (tooth as f64 + offset) / count as f64 * total;
+        let mut labels = Vec::with_capacity(count);
+        let (mut sum, mut next) = (0.0, height(0));
+        each_stretch(&self.log_weights, 0.0, |first, weights| {
+            for (place, weight) in weights.iter().enumerate() {
+                sum += weight;
+                while sum > next && labels.len() < count {
+                    labels.push(first + place);
+                    next = height(labels.len());
+                }
+            }
+            labels.len() < count
+        });
+        // Rounding may leave the last teeth beyond the sum.
+        labels.resize(count, self.len().saturating_sub(1));
+        labels
     }
 
     /// One point of each component numbered; components that repeat one after the other share their root.

@@ -83,9 +83,7 @@ impl ProductMethod for Exact {
         let (mixture, log_normaliser) = self.enumerate(inputs)?;
         let mut quality = ProductQuality::new(self.name(), samples as f64);
         quality.divergence = Some(0.0);
-        let heaviest = (0..mixture.len())
-            .fold(0, |best, i| if mixture.log_weights()[i] > mixture.log_weights()[best] { i } else { best });
-        let summit = mixture.mean_of(heaviest);
+        let summit = mixture.mean_of(mixture.heaviest());
         let largest = inputs.iter().map(|input| input.log_density(summit)).sum::<Result<f64, _>>()?;
         check_agreement(inputs, largest, &mut quality)?;
         Ok(Product {

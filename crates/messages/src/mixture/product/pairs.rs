@@ -92,7 +92,7 @@ fn retain(
     shared: bool,
     floor: f64,
 ) {
-    if log_weights.iter().all(|&log| log >= floor) {
+    if floor == f64::NEG_INFINITY || log_weights.iter().all(|&log| log >= floor) {
         return;
     }
     let mut kept = 0;

@@ -241,9 +241,7 @@ fn exactly(
     random: &mut FastStream,
 ) -> Result<Product, MessageError> {
     let mixture = found.mixture;
-    let heaviest = (0..mixture.len())
-        .fold(0, |best, i| if mixture.log_weights[i] > mixture.log_weights[best] { i } else { best });
-    let summit = mixture.mean_of(heaviest);
+    let summit = mixture.mean_of(mixture.heaviest());
     let largest = factors.iter().map(|factor| factor.log_density(summit)).sum::<Result<f64, _>>()?;
     let mut quality = ProductQuality::new(method, samples as f64);
     quality.divergence = Some(0.0);
