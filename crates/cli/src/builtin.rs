@@ -14,6 +14,7 @@ pub const BUILTINS: &[Builtin] = &[
     Builtin { name: "pmpa-cdf", text: include_str!("../scenarios/pmpa-cdf.toml") },
     Builtin { name: "coop-c3", text: include_str!("../scenarios/coop-c3.toml") },
     Builtin { name: "coop-c10", text: include_str!("../scenarios/coop-c10.toml") },
+    Builtin { name: "coop-c10-forms", text: include_str!("../scenarios/coop-c10-forms.toml") },
     Builtin { name: "coop-c100", text: include_str!("../scenarios/coop-c100.toml") },
     Builtin { name: "coop-static", text: include_str!("../scenarios/coop-static.toml") },
     Builtin { name: "mrclam", text: include_str!("../scenarios/mrclam.toml") },

@@ -10,8 +10,8 @@ pub(crate) use state::State;
 use crate::graph::Kind;
 use crate::schedule::Refusal;
 use crate::{
-    EdgeId, Factor, FactorGraph, GraphError, Message, Node, Quality, Report, Schedule, Stop, Topology,
-    VariableId,
+    EdgeId, Factor, FactorGraph, GraphError, Message, Node, Qualities, Quality, Report, Schedule, Stop,
+    Topology, VariableId,
 };
 use forms::Forms;
 use pass::{Run, refresh};
@@ -158,7 +158,7 @@ impl<'g, M: Message, F: Factor<M>> Engine<'g, M, F> {
         let outcome = self.iterate(&topology, schedule, &mut changes);
         self.topology = topology;
         let stop = outcome?;
-        Ok(Report { iterations: changes.len(), changes, stop })
+        Ok(Report { iterations: changes.len(), changes, stop, quality: self.qualities() })
     }
 
     fn iterate(
@@ -226,6 +226,34 @@ impl<'g, M: Message, F: Factor<M>> Engine<'g, M, F> {
     /// What is known of the quality of the message along an edge.
     pub fn edge_quality(&self, edge: EdgeId) -> Quality {
         self.message(edge).quality()
+    }
+
+    /// What is known of all messages and beliefs as they stand. A belief found by a product of several modes is told
+    /// how many the messages into it had.
+    fn qualities(&self) -> Qualities {
+        let unknown = Quality::default();
+        let mut known = Qualities::default();
+        for edge in self.topology.edges() {
+            let quality = self.message(edge).quality();
+            if quality != unknown {
+                known.edges.push((edge, quality));
+            }
+        }
+        for index in 0..self.topology.variable_count() {
+            let mut quality = self.state.beliefs[index].quality();
+            if quality == unknown {
+                continue;
+            }
+            if let Some(product) = &mut quality.product {
+                let edges = self.topology.raw_edges_of_variable(index).iter();
+                let before =
+                    edges.filter_map(|&edge| known.edge(EdgeId(edge)).and_then(|message| message.modes));
+                product.modes_before = product.modes_before.or(before.max());
+                product.modes_after = product.modes_after.or(quality.modes);
+            }
+            known.beliefs.push((VariableId(index as u32), quality));
+        }
+        known
     }
 
     /// The graph this engine runs on.

@@ -33,7 +33,7 @@ pub use error::{GraphError, MessageError};
 pub use factor::{Factor, Incoming, Port};
 pub use graph::{EdgeId, FactorGraph, FactorId, VariableId};
 pub use message::{Message, Messages, ProductOutcome, Quality};
-pub use report::{Report, Stop};
+pub use report::{Qualities, Report, Stop};
 pub use schedule::{Pass, Schedule};
 pub use space::{Coordinate, Space, wrap_angle};
 pub use stream::{FastStream, MessageStreams, Purpose, Stream};

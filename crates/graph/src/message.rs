@@ -11,6 +11,8 @@ pub struct Quality {
     pub conversion_loss: Option<f64>,
     /// Number of components of a mixture.
     pub components: Option<usize>,
+    /// Number of modes of a mixture, where they were looked for.
+    pub modes: Option<usize>,
     /// How the product was found, where there was a choice.
     pub product: Option<ProductOutcome>,
 }
@@ -20,6 +22,8 @@ pub struct Quality {
 pub struct ProductOutcome {
     /// Name of the method.
     pub method: &'static str,
+    /// Why that method, where it was chosen automatically.
+    pub reason: Option<&'static str>,
     /// Share of the labels that the last sweep of a sampler changed: near zero where it is stuck.
     pub label_change: Option<f64>,
     /// Divergence (nats) from the exact product, or its estimate.

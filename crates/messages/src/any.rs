@@ -307,12 +307,9 @@ impl Message for AnyMessage {
             }
             (AnyValue::Particles(belief), message) => {
                 let mut quotient = belief.clone();
-                for (log, point) in
-                    quotient.log_weights.iter_mut().zip(belief.points().chunks_exact(belief.dimension()))
-                {
-                    *log -= message.held().log_value(&self.coordinates, point).unwrap_or(0.0);
-                }
-                let divided = quotient.normalise("the quotient of messages").is_ok();
+                let (held, logs) = (message.held(), &mut quotient.log_weights);
+                let divided = held.add_logs(&self.coordinates, belief.points(), -1.0, logs).is_ok()
+                    && quotient.normalise("the quotient of messages").is_ok();
                 out.value = AnyValue::Particles(quotient);
                 divided
             }

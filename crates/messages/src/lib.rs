@@ -12,6 +12,7 @@
 //! Adding a family to the mix touches its own file and [`AnyMessage`] alone.
 
 mod any;
+mod cumulants;
 mod dense;
 mod dynamic;
 mod gaussian;

@@ -20,6 +20,7 @@ mod potential;
 mod product;
 mod record;
 mod reduction;
+mod regions;
 mod sample;
 mod small;
 mod times;

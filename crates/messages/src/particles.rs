@@ -9,6 +9,8 @@ mod family;
 
 pub(crate) use family::carrier;
 
+use crate::Cholesky;
+use crate::cumulants::Cumulants;
 use crate::kernel::{Kernel, regression};
 use crate::moments::Moments;
 use serde::{Deserialize, Serialize};
@@ -307,6 +309,30 @@ impl Particles {
             }
         }
         Moments { mean, covariance }
+    }
+
+    /// Cumulants about the mean of `moments`, in the units of their covariance.
+    pub(crate) fn cumulants(&self, moments: &Moments) -> Result<Cumulants, MessageError> {
+        let d = moments.dimension();
+        let factor = Cholesky::new(&moments.covariance, d, "the covariance of the particles")?;
+        let mut cumulants = Cumulants::new(d);
+        let mut offset = vec![0.0; d];
+        for (weight, point) in self.weights().iter().zip(self.support.points.chunks_exact(d.max(1))) {
+            self.offset(point, &moments.mean, &mut offset);
+            factor.solve_lower(&mut offset);
+            cumulants.add_point(*weight, &offset);
+        }
+        Ok(cumulants)
+    }
+
+    /// The particles on some of their coordinates.
+    pub(crate) fn marginal(&self, read: &[usize]) -> Self {
+        let coordinates = read.iter().map(|&k| self.support.coordinates[k]).collect();
+        let d = self.dimension().max(1);
+        let points = self.support.points.chunks_exact(d);
+        let points = points.flat_map(|point| read.iter().map(|&k| point[k])).collect();
+        let support = Arc::new(Support { coordinates, points, log_proposal: None });
+        Self { support, log_weights: self.log_weights.clone(), role: self.role }
     }
 
     pub(crate) fn offset(&self, point: &[f64], from: &[f64], out: &mut [f64]) {

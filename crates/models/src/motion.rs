@@ -452,7 +452,7 @@ impl<T: Motion> Rules for Transition<T> {
             return Ok((MixtureMessage::flat(view.coordinates(to)), loss));
         }
         if to == 0 {
-            let back = Retrodiction { linearise: &linear, noise: &noise, guide: view.guide(0) };
+            let back = Retrodiction { linearise: &linear, noise: &noise, guide: view.guide(0, None) };
             return Ok((back.message(&message.to_potential())?, loss));
         }
         match message.to_density() {

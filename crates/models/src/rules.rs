@@ -13,7 +13,7 @@ use std::f64::consts::TAU;
 use sumprod_graph::{Coordinate, Incoming, MessageError, Port, Stream};
 use sumprod_messages::{
     BandwidthChoice, DynamicGaussian, GaussianFamily, GaussianForm, Mixture, MixtureFamily, MixtureForm,
-    MixtureMessage, ParticleFamily, Particles, ParticlesForm,
+    MixtureMessage, Moments, ParticleFamily, Particles, ParticlesForm, floor_diagonal,
 };
 
 /// What a Gaussian rule sees of the messages and beliefs at a factor's ports, whatever their family.
@@ -81,8 +81,24 @@ pub trait MixtureView: GaussianView {
     /// Where it is the values of a likelihood.
     fn mixture(&self, port: Port, form: &MixtureForm) -> Result<(MixtureMessage, f64), MessageError>;
 
-    /// The belief at a port, where it is a distribution: where a rule spends its components.
-    fn guide(&self, port: Port) -> Option<Mixture>;
+    /// The same on the coordinates `read` alone; none where the others cannot be summed out.
+    ///
+    /// # Errors
+    ///
+    /// As [`MixtureView::mixture`].
+    fn marginal(
+        &self,
+        port: Port,
+        read: &[usize],
+        form: &MixtureForm,
+    ) -> Result<Option<(MixtureMessage, f64)>, MessageError>;
+
+    /// Mean and covariance of the belief at a port, where it is a distribution.
+    fn moments(&self, port: Port) -> Option<Moments>;
+
+    /// The belief at a port, where it is a distribution, on the coordinates `read` if given: where a rule spends its
+    /// components.
+    fn guide(&self, port: Port, read: Option<&[usize]>) -> Option<Mixture>;
 
     /// The coordinates of the variable at a port.
     fn coordinates(&self, port: Port) -> &[Coordinate];
@@ -245,14 +261,34 @@ impl<M: GaussianFamily + MixtureFamily> MixtureView for WithForm<'_, '_, M> {
         self.view.incoming.message(port).read_mixture(form)
     }
 
-    fn guide(&self, port: Port) -> Option<Mixture> {
+    fn marginal(
+        &self,
+        port: Port,
+        read: &[usize],
+        form: &MixtureForm,
+    ) -> Result<Option<(MixtureMessage, f64)>, MessageError> {
+        self.view.incoming.message(port).read_marginal(read, form)
+    }
+
+    fn moments(&self, port: Port) -> Option<Moments> {
+        let belief = self.view.incoming.belief(port);
+        let mut moments = if belief.is_proper() { belief.known_moments() } else { None }?;
+        floor_diagonal(&mut moments.covariance, moments.mean.len());
+        Some(moments)
+    }
+
+    fn guide(&self, port: Port, read: Option<&[usize]>) -> Option<Mixture> {
         let belief = self.view.incoming.belief(port);
         if !belief.is_proper() {
             return None;
         }
         // Kernels of a simple rule will do to say where components are worth spending.
         let form = MixtureForm { bandwidth: BandwidthChoice::Silverman, ..*self.form };
-        belief.read_mixture(&form).ok().and_then(|(belief, _)| belief.to_density().ok())
+        let belief = match read {
+            Some(read) => belief.read_marginal(read, &form).ok().flatten(),
+            None => belief.read_mixture(&form).ok(),
+        };
+        belief.and_then(|(belief, _)| belief.to_density().ok())
     }
 
     fn coordinates(&self, port: Port) -> &[Coordinate] {

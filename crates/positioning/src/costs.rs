@@ -16,11 +16,23 @@ pub(crate) struct Costs {
     unbounded: bool,
     /// Sum and number of the beliefs' components.
     components: (f64, u32),
-    /// How often each method found a belief's product.
-    methods: BTreeMap<&'static str, u32>,
+    /// How often each method found a belief's product, and why it was chosen where nobody had.
+    methods: BTreeMap<(&'static str, Option<&'static str>), u32>,
     /// Sum and number of the products' divergences (nats), and of the label changes of those that were sampled.
     divergences: (f64, u32),
     label_changes: (f64, u32),
+    /// Sum and number of the beliefs' modes.
+    modes: (f64, u32),
+    /// Of the messages along edges of a kind.
+    edges: BTreeMap<String, EdgeCosts>,
+}
+
+/// Sums and numbers of what is known of the messages along edges of one kind.
+#[derive(Debug, Default)]
+struct EdgeCosts {
+    effective: (f64, u32),
+    components: (f64, u32),
+    modes: (f64, u32),
 }
 
 fn add(mean: &mut (f64, u32), value: Option<f64>) {
@@ -32,7 +44,18 @@ fn add(mean: &mut (f64, u32), value: Option<f64>) {
 impl Costs {
     /// Takes in a message along an edge of this kind.
     pub(crate) fn message<M: Message>(&mut self, kind: &str, message: &M) {
-        self.lose(kind, message.quality());
+        let quality = message.quality();
+        if quality.effective_sample_size.or(quality.components.map(|count| count as f64)).is_some() {
+            if !self.edges.contains_key(kind) {
+                self.edges.insert(kind.to_owned(), EdgeCosts::default());
+            }
+            if let Some(edge) = self.edges.get_mut(kind) {
+                add(&mut edge.effective, quality.effective_sample_size);
+                add(&mut edge.components, quality.components.map(|count| count as f64));
+                add(&mut edge.modes, quality.modes.map(|count| count as f64));
+            }
+        }
+        self.lose(kind, quality);
     }
 
     /// Takes in a belief.
@@ -40,8 +63,9 @@ impl Costs {
         let quality = belief.quality();
         add(&mut self.effective, quality.effective_sample_size);
         add(&mut self.components, quality.components.map(|count| count as f64));
+        add(&mut self.modes, quality.modes.map(|count| count as f64));
         if let Some(product) = quality.product {
-            *self.methods.entry(product.method).or_default() += 1;
+            *self.methods.entry((product.method, product.reason)).or_default() += 1;
             add(&mut self.divergences, product.divergence);
             add(&mut self.label_changes, product.label_change);
         }
@@ -63,21 +87,33 @@ impl Costs {
         }
     }
 
-    /// Writes `n_eff`, `components`, `product_quality.divergence` and `.label_change`, and `conversion_loss.KIND`; how
-    /// products were found, and a loss that no number bounds, are told in words.
+    /// Writes `n_eff`, `components`, `modes`, `product_quality.divergence` and `.label_change` of the beliefs with the
+    /// share of products found by each method (`product_share.METHOD`), and by kind of edge `edge_quality.KIND.n_eff`, `.components`, `.modes` and `conversion_loss.KIND`; how products were
+    /// found and why so, and a loss that no number bounds, are told in words.
     pub(crate) fn report(self, method: &mut MethodRun) {
         let means = [
             ("n_eff", self.effective),
             ("components", self.components),
+            ("modes", self.modes),
             ("product_quality.divergence", self.divergences),
             ("product_quality.label_change", self.label_changes),
         ];
         for (name, (sum, count)) in means.into_iter().filter(|(_, (_, count))| *count > 0) {
             method.diagnose(name, sum / f64::from(count));
         }
+        for (kind, edge) in self.edges {
+            let means = [("n_eff", edge.effective), ("components", edge.components), ("modes", edge.modes)];
+            for (name, (sum, count)) in means.into_iter().filter(|(_, (_, count))| *count > 0) {
+                method.diagnose(&format!("edge_quality.{kind}.{name}"), sum / f64::from(count));
+            }
+        }
         if !self.methods.is_empty() {
-            let found: Vec<String> =
-                self.methods.iter().map(|(name, count)| format!("{name} {count}")).collect();
+            let total: u32 = self.methods.values().sum();
+            let mut found = Vec::new();
+            for ((name, reason), count) in self.methods {
+                method.diagnose(&format!("product_share.{name}"), f64::from(count) / f64::from(total));
+                found.push(reason.map_or(name.to_owned(), |reason| format!("{name} ({reason})")));
+            }
             method.notes.push(format!("products of mixtures found by: {}", found.join(", ")));
         }
         for (kind, (sum, count)) in self.losses {

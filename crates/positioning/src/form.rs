@@ -24,6 +24,10 @@ use crate::error::PositioningError;
 /// The names that a form starts with.
 const NAMES: &[&str] = &["gaussian", "mixture", "particles"];
 
+/// The keys of a form's table.
+const KEYS: &[&str] =
+    &["gaussian", "mixture", "particles", "senders", "proposal", "product", "bandwidth", "samples"];
+
 /// A form as a scenario file spells it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct FormSpec(pub AnyForm);
@@ -37,6 +41,17 @@ impl FormSpec {
     /// Particles that are averaged over `senders` of the sender's, all if none is given.
     pub fn particles(count: usize, senders: Option<usize>, proposal: Proposal) -> Self {
         Self(AnyForm::Particles(ParticlesForm { count, senders, proposal }))
+    }
+
+    /// The same, particles that say nothing of senders averaging over this many.
+    #[must_use]
+    pub(crate) fn with_senders(self, senders: Option<usize>) -> Self {
+        match self.0 {
+            AnyForm::Particles(form) => {
+                Self(AnyForm::Particles(ParticlesForm { senders: form.senders.or(senders), ..form }))
+            }
+            _ => self,
+        }
     }
 
     /// Mixtures of at most `components` Gaussians.
@@ -62,6 +77,29 @@ impl FormSpec {
             }
         }
     }
+}
+
+/// What to tell of product methods that were chosen for edges (by kind) and are not used, since the belief that `carried`
+/// holds is no mixture: its points weigh the messages instead.
+pub(crate) fn unused_products(carried: &AnyForm, edges: &[(&str, AnyForm)]) -> Option<String> {
+    if matches!(carried, AnyForm::Mixture(_)) {
+        return None;
+    }
+    let chosen = edges.iter().filter_map(|(kind, form)| match form {
+        AnyForm::Mixture(form) if form.product != ProductChoice::Auto => {
+            Some(format!("{} on {kind} edges", form.product.method().name()))
+        }
+        _ => None,
+    });
+    let chosen: Vec<String> = chosen.collect();
+    (!chosen.is_empty()).then(|| {
+        format!(
+            "product method not used ({}): the beliefs are held by {}, which multiply mixtures point by point; give \
+             the richest form to a mixture, or leave `product` out",
+            chosen.join(", "),
+            carried.name()
+        )
+    })
 }
 
 /// Refuses a count of zero; `what` names one of the things counted.
@@ -174,7 +212,7 @@ impl<'de> Visitor<'de> for Spelling {
                 "product" => parts.product = Some(map.next_value()?),
                 "bandwidth" => parts.bandwidth = Some(map.next_value()?),
                 "samples" => parts.samples = Some(map.next_value()?),
-                other => return Err(unknown(other)),
+                other => return Err(A::Error::unknown_field(other, KEYS)),
             }
         }
         parts.form()
@@ -288,6 +326,7 @@ mod tests {
             (r#"{"senders": 3}"#, "names its family"),
             (r#"{"particles": -3}"#, "invalid value: integer `-3`"),
             ("7", "expected \"gaussian\" or a table"),
+            (r#"{"mixture": 50, "produt": "gibbs"}"#, "unknown field `produt`, expected one of `gaussian`"),
         ] {
             let message = read(json).unwrap_err();
             assert!(message.contains(part), "{json}: {message}");
@@ -303,6 +342,17 @@ mod tests {
         assert!(spec.validate("m").unwrap_err().to_string().contains("`m.senders` is 0"));
         let message = FormSpec::mixture(0).validate("m").unwrap_err().to_string();
         assert_eq!(message, "`m.mixture` is 0; at least 1 component is needed");
+    }
+
+    #[test]
+    fn a_product_that_a_belief_of_points_has_no_use_for_is_told() {
+        let chosen = read(r#"{"mixture": 50, "product": "gibbs"}"#).unwrap().0;
+        let told = unused_products(&AnyForm::particles(1000), &[("range", chosen)]).unwrap();
+        assert!(told.starts_with(
+            "product method not used (gibbs on range edges): the beliefs are held by particles"
+        ));
+        assert_eq!(unused_products(&chosen, &[("range", chosen)]), None);
+        assert_eq!(unused_products(&AnyForm::particles(9), &[("range", AnyForm::mixture(5))]), None);
     }
 
     #[test]

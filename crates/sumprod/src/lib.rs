@@ -42,8 +42,8 @@ pub mod prelude {
     };
     pub use sumprod_graph::{
         Coordinate, EdgeId, Engine, Factor, FactorGraph, FactorId, GraphError, Incoming, Message,
-        MessageError, Messages, Options, Outgoing, Pass, Port, Purpose, Quality, Report, Schedule, Space,
-        Stop, Stream, Topology, VariableId, Window, WindowVariable,
+        MessageError, Messages, Options, Outgoing, Pass, Port, Purpose, Qualities, Quality, Report, Schedule,
+        Space, Stop, Stream, Topology, VariableId, Window, WindowVariable,
     };
     pub use sumprod_messages::{
         AnyForm, AnyMessage, DynamicGaussian, Gaussian, GaussianForm, Linearisation, Mixture, MixtureForm,

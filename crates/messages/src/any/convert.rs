@@ -2,7 +2,7 @@
 
 use super::held::Held;
 use crate::kernel::floor_diagonal;
-use crate::mixture::{MixtureForm, MixtureMessage, drawn_loss};
+use crate::mixture::{MixtureFamily, MixtureForm, MixtureMessage, drawn_loss};
 use crate::particles::{Role, Support};
 use crate::{DynamicGaussian, Moments, Particles};
 use rand_distr::{Distribution, StandardNormal};
@@ -17,9 +17,8 @@ pub(super) fn no_distribution() -> MessageError {
     MessageError::Unsupported(reason.into())
 }
 
-/// A sample's moments; the loss is its negentropy, by third and fourth cumulants of the whitened coordinates
-/// (Hyvärinen 1998): Σ κ₃²/12 + κ₄²/48. That expansion means nothing for a collapsed cloud; n points cannot tell
-/// more than log n nats.
+/// A sample's moments; the loss is its negentropy. The expansion that finds it means nothing for a collapsed cloud; n
+/// points cannot tell more than log n nats.
 pub(super) fn particles_to_gaussian(particles: &Particles) -> Result<(DynamicGaussian, f64), MessageError> {
     if particles.is_empty() {
         return Ok((DynamicGaussian::flat(particles.dimension()), 0.0));
@@ -32,19 +31,7 @@ pub(super) fn particles_to_gaussian(particles: &Particles) -> Result<(DynamicGau
     widen_collapsed(particles, &mut moments);
     floor_diagonal(&mut moments.covariance, d);
     let gaussian = DynamicGaussian::from_moments(&moments.mean, &moments.covariance)?;
-    let factor = crate::Cholesky::new(&moments.covariance, d, "the covariance of the particles")?;
-    let mut cumulants = vec![(0.0, 0.0); d];
-    let mut offset = vec![0.0; d];
-    for (index, weight) in particles.weights().iter().enumerate() {
-        particles.offset(particles.point(index), &moments.mean, &mut offset);
-        factor.solve_lower(&mut offset);
-        for ((third, fourth), z) in cumulants.iter_mut().zip(&offset) {
-            *third += weight * z * z * z;
-            *fourth += weight * z * z * z * z;
-        }
-    }
-    let loss: f64 =
-        cumulants.iter().map(|(third, fourth)| third * third / 12.0 + (fourth - 3.0).powi(2) / 48.0).sum();
+    let loss = particles.cumulants(&moments)?.negentropy();
     Ok((gaussian, loss.min((particles.len() as f64).ln())))
 }
 
@@ -141,8 +128,26 @@ impl Held for DynamicGaussian {
         Ok((MixtureMessage::from_gaussian(coordinates, self), 0.0))
     }
 
-    fn log_value(&self, coordinates: &[Coordinate], point: &[f64]) -> Option<f64> {
-        Some(log_value(self, coordinates, point))
+    fn to_marginal(
+        &self,
+        coordinates: &[Coordinate],
+        read: &[usize],
+        form: &MixtureForm,
+    ) -> Result<Option<(MixtureMessage, f64)>, MessageError> {
+        MixtureMessage::from_gaussian(coordinates, self).read_marginal(read, form)
+    }
+
+    fn add_logs(
+        &self,
+        coordinates: &[Coordinate],
+        points: &[f64],
+        power: f64,
+        logs: &mut [f64],
+    ) -> Result<(), MessageError> {
+        for (log, point) in logs.iter_mut().zip(points.chunks_exact(coordinates.len().max(1))) {
+            *log += power * log_value(self, coordinates, point);
+        }
+        Ok(())
     }
 
     fn is_vacuous(&self) -> bool {
@@ -183,8 +188,21 @@ impl Held for Particles {
         MixtureMessage::from_particles(self, form)
     }
 
-    fn log_value(&self, _coordinates: &[Coordinate], _point: &[f64]) -> Option<f64> {
-        None
+    fn to_marginal(
+        &self,
+        coordinates: &[Coordinate],
+        read: &[usize],
+        form: &MixtureForm,
+    ) -> Result<Option<(MixtureMessage, f64)>, MessageError> {
+        if self.is_empty() {
+            let read: Vec<Coordinate> = read.iter().map(|&k| coordinates[k]).collect();
+            return Ok(Some((MixtureMessage::flat(&read), 0.0)));
+        }
+        MixtureMessage::from_particles(&self.marginal(read), form).map(Some)
+    }
+
+    fn add_logs(&self, _: &[Coordinate], _: &[f64], _: f64, _: &mut [f64]) -> Result<(), MessageError> {
+        Ok(())
     }
 
     fn is_vacuous(&self) -> bool {
@@ -201,7 +219,7 @@ impl Held for Particles {
 }
 
 /// Log value of a Gaussian message at a point, angles taken on the turn nearest the message's mean.
-pub(super) fn log_value(gaussian: &DynamicGaussian, coordinates: &[Coordinate], point: &[f64]) -> f64 {
+fn log_value(gaussian: &DynamicGaussian, coordinates: &[Coordinate], point: &[f64]) -> f64 {
     if !coordinates.contains(&Coordinate::Angle) {
         return gaussian.log_value(point);
     }

@@ -2,7 +2,7 @@
 
 use super::{AnyForm, AnyMessage, AnyValue};
 use crate::mixture::{MixtureFamily, MixtureForm, MixtureMessage};
-use crate::{DynamicGaussian, GaussianFamily, GaussianForm, Particles, ParticlesForm};
+use crate::{DynamicGaussian, GaussianFamily, GaussianForm, Moments, Particles, ParticlesForm};
 use sumprod_graph::{Coordinate, Message, MessageError, Stream};
 
 impl GaussianFamily for AnyMessage {
@@ -115,6 +115,19 @@ impl MixtureFamily for AnyMessage {
     fn read_mixture(&self, form: &MixtureForm) -> Result<(MixtureMessage, f64), MessageError> {
         let (mixture, loss) = self.value.held().to_mixture(&self.coordinates, form)?;
         Ok((mixture, self.loss.unwrap_or(0.0) + loss))
+    }
+
+    fn read_marginal(
+        &self,
+        read: &[usize],
+        form: &MixtureForm,
+    ) -> Result<Option<(MixtureMessage, f64)>, MessageError> {
+        let found = self.value.held().to_marginal(&self.coordinates, read, form)?;
+        Ok(found.map(|(mixture, loss)| (mixture, self.loss.unwrap_or(0.0) + loss)))
+    }
+
+    fn known_moments(&self) -> Option<Moments> {
+        self.moments().ok()
     }
 }
 

@@ -25,8 +25,23 @@ pub(super) trait Held {
         form: &MixtureForm,
     ) -> Result<(MixtureMessage, f64), MessageError>;
 
-    /// Log of the message at a point, up to a constant; none where the family cannot be read between its points.
-    fn log_value(&self, coordinates: &[Coordinate], point: &[f64]) -> Option<f64>;
+    /// The same on the coordinates `read` alone; none where the others cannot be summed out.
+    fn to_marginal(
+        &self,
+        coordinates: &[Coordinate],
+        read: &[usize],
+        form: &MixtureForm,
+    ) -> Result<Option<(MixtureMessage, f64)>, MessageError>;
+
+    /// Adds `power` times the log of the message at every point (point by point) to `logs`, up to a constant; nothing
+    /// where the family cannot be read between its points.
+    fn add_logs(
+        &self,
+        coordinates: &[Coordinate],
+        points: &[f64],
+        power: f64,
+        logs: &mut [f64],
+    ) -> Result<(), MessageError>;
 
     /// Whether it says nothing.
     fn is_vacuous(&self) -> bool;

@@ -35,8 +35,27 @@ impl Held for MixtureMessage {
         Ok((read, after - before))
     }
 
-    fn log_value(&self, _coordinates: &[Coordinate], point: &[f64]) -> Option<f64> {
-        Self::log_value(self, point).ok()
+    fn to_marginal(
+        &self,
+        _coordinates: &[Coordinate],
+        read: &[usize],
+        form: &MixtureForm,
+    ) -> Result<Option<(MixtureMessage, f64)>, MessageError> {
+        let before = self.loss().unwrap_or(0.0);
+        Ok(self.read_marginal(read, form)?.map(|(read, after)| (read, after - before)))
+    }
+
+    fn add_logs(
+        &self,
+        _: &[Coordinate],
+        points: &[f64],
+        power: f64,
+        logs: &mut [f64],
+    ) -> Result<(), MessageError> {
+        let mut own = vec![0.0; logs.len()];
+        self.log_values(points, &mut own)?;
+        logs.iter_mut().zip(&own).for_each(|(log, own)| *log += power * own);
+        Ok(())
     }
 
     fn is_vacuous(&self) -> bool {

@@ -103,7 +103,6 @@ pub(super) fn particle_product(
         Some(values) if functions().next().is_none() => values,
         _ => return drawn_product(&all, form, stream, out),
     };
-    let d = base.dimension();
     let mut product = match &mut out.value {
         // The storage of the old belief serves the new one.
         AnyValue::Particles(old) => std::mem::take(old),
@@ -114,9 +113,7 @@ pub(super) fn particle_product(
         product.absorb(other)?;
     }
     for function in functions() {
-        for (log, point) in product.log_weights.iter_mut().zip(product.support.points.chunks_exact(d)) {
-            *log += function.log_value(&out.coordinates, point).unwrap_or(0.0);
-        }
+        function.add_logs(&out.coordinates, &product.support.points, 1.0, &mut product.log_weights)?;
     }
     if base.role() == Role::Likelihood
         && functions().next().is_some()

@@ -118,6 +118,7 @@ impl Message for MixtureMessage {
                 .and_then(|found| found.sampled().then_some(found.effective_sample_size)),
             conversion_loss: self.loss(),
             components: Some(self.len()),
+            modes: self.regions(),
             product: product.map(super::ProductQuality::outcome),
         }
     }
@@ -134,10 +135,18 @@ impl MixtureMessage {
         if let Some(density) = self.density() {
             return Some(((0..density.dimension()).collect(), density.moments()));
         }
-        let potential = self.potential()?;
-        let read = potential.read();
-        let (density, _) = (!read.is_empty()).then(|| potential.density_on(&read).ok()).flatten()?;
+        let (read, density) = self.potential()?.density_on_read()?;
         Some((read, density.moments()))
+    }
+
+    /// The number of modes that valleys separate, on the coordinates that are read.
+    fn regions(&self) -> Option<usize> {
+        match (self.density(), self.potential()) {
+            (Some(density), _) => density.regions().ok().flatten(),
+            (None, Some(potential)) if potential.len() == 1 => (!potential.is_flat()).then_some(1),
+            (None, Some(potential)) => potential.density_on_read()?.1.regions().ok().flatten(),
+            (None, None) => None,
+        }
     }
 }
 
@@ -190,6 +199,21 @@ pub trait MixtureFamily: Message {
     ///
     /// Where it is the values of a likelihood.
     fn read_mixture(&self, form: &MixtureForm) -> Result<(MixtureMessage, f64), MessageError>;
+
+    /// The same on the coordinates `read` alone, which a mixture of few components holds better than all of them; none
+    /// where what is left out cannot be summed out.
+    ///
+    /// # Errors
+    ///
+    /// As [`MixtureFamily::read_mixture`].
+    fn read_marginal(
+        &self,
+        read: &[usize],
+        form: &MixtureForm,
+    ) -> Result<Option<(MixtureMessage, f64)>, MessageError>;
+
+    /// Mean and covariance, where it is a distribution.
+    fn known_moments(&self) -> Option<Moments>;
 }
 
 impl MixtureFamily for MixtureMessage {
@@ -197,5 +221,32 @@ impl MixtureFamily for MixtureMessage {
         let read = if self.len() > form.components { self.reduced(form.components)? } else { self.clone() };
         let loss = read.loss().unwrap_or(0.0);
         Ok((read, loss))
+    }
+
+    fn read_marginal(
+        &self,
+        read: &[usize],
+        form: &MixtureForm,
+    ) -> Result<Option<(MixtureMessage, f64)>, MessageError> {
+        let marginal: Self = match (self.density(), self.potential()) {
+            (Some(density), _) => density.marginal(read)?.into(),
+            (None, Some(potential)) if potential.is_flat() => {
+                Self::flat(&read.iter().map(|&k| self.coordinates()[k]).collect::<Vec<_>>())
+            }
+            (None, Some(potential)) => match potential.to_density() {
+                Ok((density, _)) => density.marginal(read)?.into(),
+                Err(_) if potential.read().iter().all(|k| read.contains(k)) => {
+                    let Ok((density, _)) = potential.density_on(read) else { return Ok(None) };
+                    density.into()
+                }
+                Err(_) => return Ok(None),
+            },
+            (None, None) => return Ok(None),
+        };
+        marginal.costing(self.loss().unwrap_or(0.0)).read_mixture(form).map(Some)
+    }
+
+    fn known_moments(&self) -> Option<Moments> {
+        self.moments().ok()
     }
 }

@@ -1,7 +1,7 @@
 //! A mixture as an edge carries it: a density, or a potential that leaves directions open.
 
 use super::potential::Potential;
-use super::{Mixture, ProductQuality};
+use super::{Evaluator, Mixture, ProductQuality};
 use crate::{DynamicGaussian, Moments};
 use serde::{Deserialize, Serialize};
 use sumprod_graph::{Coordinate, MessageError};
@@ -101,6 +101,19 @@ impl MixtureMessage {
                 super::size("the point", point.len(), potential.dimension())?;
                 Ok(potential.log_value(point))
             }
+        }
+    }
+
+    /// [`MixtureMessage::log_value`] at many points (point by point), the constant the same for all. O(M log K) to
+    /// O(M K) for M points and K components.
+    ///
+    /// # Errors
+    ///
+    /// Where the points' size does not fit `out`.
+    pub fn log_values(&self, points: &[f64], out: &mut [f64]) -> Result<(), MessageError> {
+        match &self.held {
+            Held::Density(density) => Evaluator::new(density).log_densities(points, out),
+            Held::Potential(potential) => potential.log_values(points, out),
         }
     }
 

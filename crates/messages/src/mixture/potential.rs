@@ -6,7 +6,7 @@
 
 use super::small::{Small, difference, invert, log_sum, multiply, wrap_point};
 use super::times::Local;
-use super::{Mixture, finite, size};
+use super::{Evaluator, Mixture, finite, size};
 use crate::DynamicGaussian;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::{PI, TAU};
@@ -181,6 +181,27 @@ impl Potential {
         log_sum(&logs)
     }
 
+    /// [`Potential::log_value`] at many points, point by point.
+    pub(super) fn log_values(&self, points: &[f64], out: &mut [f64]) -> Result<(), MessageError> {
+        let d = self.dimension();
+        size("the points", points.len(), out.len() * d)?;
+        let read = self.read();
+        if self.len() > 1
+            && !read.is_empty()
+            && let Ok((density, log_total)) = self.density_on(&read)
+        {
+            let points: Vec<f64> =
+                points.chunks_exact(d).flat_map(|point| read.iter().map(|&k| point[k])).collect();
+            Evaluator::new(&density).log_densities(&points, out)?;
+            out.iter_mut().for_each(|log| *log += log_total);
+            return Ok(());
+        }
+        for (log, point) in out.iter_mut().zip(points.chunks_exact(d)) {
+            *log = self.log_value(point);
+        }
+        Ok(())
+    }
+
     /// The components of these numbers.
     pub(super) fn select(&self, components: &[usize]) -> Self {
         let mut chosen = Self::new(&self.coordinates);
@@ -291,6 +312,13 @@ impl Potential {
             wrap_point(&coordinates, &mut means[start..]);
         }
         Mixture::assemble(&coordinates, log_weights, means, covariances, false)
+    }
+
+    /// The coordinates that it reads and the density on them; none where it reads nothing or leaves a direction open.
+    pub(super) fn density_on_read(&self) -> Option<(Vec<usize>, Mixture)> {
+        let read = self.read();
+        let (density, _) = (!read.is_empty()).then(|| self.density_on(&read).ok()).flatten()?;
+        Some((read, density))
     }
 
     /// A density on the coordinates `read` as a message that leaves the others open.

@@ -9,7 +9,7 @@ use sumprod_graph::MessageError;
 const PAIRWISE: usize = 1_000;
 
 /// Divergence (nats) up to which fewer components say the same.
-const SAME: f64 = 1e-3;
+pub(super) const SAME: f64 = 1e-3;
 
 /// How many times more components are kept before pairs are merged than after.
 const FINER: usize = 4;
@@ -78,6 +78,9 @@ impl Mixture {
         if self.len() <= 1 {
             return Ok((self.clone(), 0.0));
         }
+        if let Some(one) = self.as_one(SAME)? {
+            return Ok(one);
+        }
         let first = match masses {
             // Weights alone decide what pairs are merged, so masses must have had their say by then.
             Some(_) => condense(self, count.max(1), SAME, masses),
@@ -106,6 +109,7 @@ impl Mixture {
 /// Components with the cheapest partner of each.
 struct Pairs {
     mixture: Mixture,
+    weights: Vec<f64>,
     log_determinants: Vec<f64>,
     alive: Vec<usize>,
     /// By component: the partner of larger number that costs least, and that cost.
@@ -132,6 +136,7 @@ impl Pairs {
         }
         let count = mixture.len();
         let mut pairs = Self {
+            weights: mixture.weights(),
             mixture,
             log_determinants: determinants,
             alive: (0..count).collect(),
@@ -147,8 +152,42 @@ impl Pairs {
         let i = self.alive[position];
         self.partner[i] = self.alive[position + 1..]
             .iter()
-            .map(|&j| (j, self.join(i, j).cost))
+            .map(|&j| (j, self.cost(i, j)))
             .fold((usize::MAX, f64::INFINITY), |best, other| if other.1 < best.1 { other } else { best });
+    }
+
+    /// What merging two components costs.
+    fn cost(&self, i: usize, j: usize) -> f64 {
+        match self.mixture.dimension() {
+            1 => self.cost_of::<1>(i, j),
+            2 => self.cost_of::<2>(i, j),
+            3 => self.cost_of::<3>(i, j),
+            4 => self.cost_of::<4>(i, j),
+            _ => self.join(i, j).cost,
+        }
+    }
+
+    /// [`Pairs::cost`] of D coordinates, without the heap.
+    fn cost_of<const D: usize>(&self, i: usize, j: usize) -> f64 {
+        let mixture = &self.mixture;
+        let weight = self.weights[i] + self.weights[j];
+        if weight <= 0.0 {
+            return 0.0;
+        }
+        let (a, b) = (self.weights[i] / weight, self.weights[j] / weight);
+        let mut offset = [0.0; D];
+        difference(&mixture.coordinates, mixture.mean_of(j), mixture.mean_of(i), &mut offset);
+        let (of_i, of_j) = (mixture.covariance_of(i), mixture.covariance_of(j));
+        let mut covariance = [[0.0; D]; D];
+        for (row, entries) in covariance.iter_mut().enumerate() {
+            for (column, entry) in entries.iter_mut().enumerate() {
+                let k = row * D + column;
+                *entry = a * of_i[k] + b * of_j[k] + a * b * offset[row] * offset[column];
+            }
+        }
+        let log_determinant = log_determinant(covariance.as_flattened(), D).unwrap_or(f64::INFINITY);
+        let parts = a * self.log_determinants[i] + b * self.log_determinants[j];
+        (0.5 * weight * (log_determinant - parts)).max(0.0)
     }
 
     fn join(&self, i: usize, j: usize) -> Join {
@@ -188,6 +227,7 @@ impl Pairs {
         let join = self.join(i, j);
         let d = self.mixture.dimension();
         self.mixture.log_weights[i] = join.log_weight;
+        self.weights[i] = join.log_weight.exp();
         self.mixture.means[i * d..(i + 1) * d].copy_from_slice(&join.mean);
         self.mixture.covariances[i * d * d..(i + 1) * d * d].copy_from_slice(&join.covariance);
         self.log_determinants[i] = join.log_determinant;
@@ -197,7 +237,7 @@ impl Pairs {
             if k == i || self.partner[k].0 == i || self.partner[k].0 == j {
                 self.find_partner(position);
             } else if k < i {
-                let cost = self.join(k, i).cost;
+                let cost = self.cost(k, i);
                 if cost < self.partner[k].1 {
                     self.partner[k] = (i, cost);
                 }

@@ -1,11 +1,12 @@
 //! Symmetric positive definite matrices of a few rows, in slices of the caller.
 
 use crate::Cholesky;
+use crate::dense::pivot_floor;
 use smallvec::SmallVec;
 use sumprod_graph::{Coordinate, wrap_angle};
 
-/// A vector or matrix of a component; up to three coordinates without the heap.
-pub(crate) type Small = SmallVec<[f64; 9]>;
+/// A vector or matrix of a component; up to four coordinates without the heap.
+pub(crate) type Small = SmallVec<[f64; 16]>;
 
 /// Writes the inverse of the row-major `matrix` into `out` and returns the log determinant; none where the matrix
 /// is not positive definite.
@@ -27,6 +28,8 @@ pub(crate) fn invert(matrix: &[f64], d: usize, out: &mut [f64]) -> Option<f64> {
             out[2] = out[1];
             Some(determinant.ln())
         }
+        3 => Fixed::<3>::new(matrix)?.invert(out),
+        4 => Fixed::<4>::new(matrix)?.invert(out),
         _ => {
             let factor = Cholesky::new(matrix, d, "a covariance").ok()?;
             factor.inverse(out);
@@ -35,11 +38,69 @@ pub(crate) fn invert(matrix: &[f64], d: usize, out: &mut [f64]) -> Option<f64> {
     }
 }
 
+/// A Cholesky factor in registers.
+struct Fixed<const D: usize> {
+    /// Lower triangle; the diagonal holds reciprocals.
+    factor: [[f64; D]; D],
+    log_determinant: f64,
+}
+
+impl<const D: usize> Fixed<D> {
+    #[inline(always)]
+    fn new(matrix: &[f64]) -> Option<Self> {
+        let mut factor = [[0.0; D]; D];
+        let mut determinant = 1.0;
+        for row in 0..D {
+            for column in 0..=row {
+                let dot: f64 = (0..column).map(|k| factor[row][k] * factor[column][k]).sum();
+                let value = matrix[row * D + column] - dot;
+                if column < row {
+                    factor[row][column] = value * factor[column][column];
+                } else if value > pivot_floor(D, matrix[row * D + row]) && value.is_finite() {
+                    determinant *= value;
+                    factor[row][row] = 1.0 / value.sqrt();
+                } else {
+                    return None;
+                }
+            }
+        }
+        let log_determinant = if determinant > f64::MIN_POSITIVE && determinant.is_finite() {
+            determinant.ln()
+        } else {
+            (0..D).map(|k| -2.0 * factor[k][k].ln()).sum()
+        };
+        Some(Self { factor, log_determinant })
+    }
+
+    /// Writes W'W with W = L⁻¹.
+    #[inline(always)]
+    fn invert(self, out: &mut [f64]) -> Option<f64> {
+        let mut inverse = [[0.0; D]; D];
+        for row in 0..D {
+            inverse[row][row] = self.factor[row][row];
+            for column in 0..row {
+                let dot: f64 = (column..row).map(|k| self.factor[row][k] * inverse[k][column]).sum();
+                inverse[row][column] = -dot * self.factor[row][row];
+            }
+        }
+        for row in 0..D {
+            for column in 0..=row {
+                let entry = (row..D).map(|k| inverse[k][row] * inverse[k][column]).sum();
+                out[row * D + column] = entry;
+                out[column * D + row] = entry;
+            }
+        }
+        Some(self.log_determinant)
+    }
+}
+
 /// Log determinant of a row-major matrix; none where it is not positive definite.
 pub(crate) fn log_determinant(matrix: &[f64], d: usize) -> Option<f64> {
     let determinant = match d {
         1 => matrix[0],
         2 if matrix[0] > 0.0 => matrix[0] * matrix[3] - matrix[2] * matrix[2],
+        3 => return Fixed::<3>::new(matrix).map(|factor| factor.log_determinant),
+        4 => return Fixed::<4>::new(matrix).map(|factor| factor.log_determinant),
         _ => return whitener(matrix, d).map(|(_, log)| log),
     };
     (determinant > 0.0 && determinant.is_finite()).then(|| determinant.ln())
@@ -88,6 +149,21 @@ pub(crate) fn multiply(matrix: &[f64], vector: &[f64], out: &mut [f64]) {
     let d = vector.len();
     for (row, value) in out.iter_mut().enumerate().take(d) {
         *value = (0..d).map(|k| matrix[row * d + k] * vector[k]).sum();
+    }
+}
+
+/// out = W C W', all row-major.
+pub(crate) fn congruence(w: &[f64], c: &[f64], d: usize, out: &mut [f64]) {
+    let mut half = Small::from_elem(0.0, d * d);
+    for row in 0..d {
+        for column in 0..d {
+            half[row * d + column] = (0..d).map(|k| w[row * d + k] * c[k * d + column]).sum();
+        }
+    }
+    for row in 0..d {
+        for column in 0..d {
+            out[row * d + column] = (0..d).map(|k| half[row * d + k] * w[column * d + k]).sum();
+        }
     }
 }
 

@@ -174,3 +174,49 @@ fn a_graph_names_the_variable_whose_messages_have_disjoint_supports() {
     let error = Engine::new(&graph, Options::default()).unwrap().run(&mut Flooding).unwrap_err().to_string();
     assert!(error.contains("\"torn\"") && error.contains("disjoint supports"), "{error}");
 }
+
+#[test]
+fn a_run_reports_the_modes_before_and_after_a_product_and_what_chose_it() {
+    let line = Space::real(1);
+    let around = |means: [f64; 2]| -> MixtureMessage {
+        Mixture::with_shared_covariance(&line, vec![0.0, 0.0], means.to_vec(), vec![1.0]).unwrap().into()
+    };
+    let mut graph = FactorGraph::<MixtureMessage>::new();
+    let x = graph.variable("x", line.clone()).unwrap();
+    // Both have two modes, of which they share one.
+    for means in [[0.0, 8.0], [-8.0, 0.1]] {
+        graph.factor("says", Box::new(Says(around(means))), &[x]).unwrap();
+    }
+    let mut engine = Engine::new(&graph, Options::default()).unwrap();
+    let report = engine.run(&mut Flooding).unwrap();
+    let edges: Vec<Option<usize>> = report.quality.edges.iter().map(|(_, quality)| quality.modes).collect();
+    assert_eq!(edges, [Some(2), Some(2)]);
+    let product = report.quality.belief(x).unwrap().product.unwrap();
+    assert_eq!((product.modes_before, product.modes_after), (Some(2), Some(1)));
+    assert_eq!(
+        (product.method, product.reason, product.divergence),
+        ("exact", Some("few label choices"), Some(0.0))
+    );
+    assert!(report.to_string().contains("products are within 0.00e0 nats"), "{report}");
+}
+
+#[test]
+fn a_sample_that_could_be_a_gaussians_is_read_as_one_and_two_modes_are_not() {
+    let plane = Space::real(2);
+    let form = MixtureForm::new(40);
+    let one = Mixture::with_shared_covariance(&plane, vec![0.0], vec![1.0, -2.0], vec![2.0, 0.6, 0.6, 1.0])
+        .unwrap();
+    let particles = one.sample(2000, &mut stream(31)).unwrap();
+    let (read, loss) = MixtureMessage::from_particles(&particles, &form).unwrap();
+    assert_eq!(read.len(), 1);
+    assert!(loss < 0.02);
+    // Kernels would be wider than the sample.
+    let (found, moments) = (read.moments().unwrap().covariance, particles.moments().covariance);
+    assert!(found.iter().zip(&moments).all(|(a, b)| (a - b).abs() < 1e-6));
+    // Modes two standard deviations from the middle, along a diagonal.
+    let means = vec![-2.0, -2.0, 2.0, 2.0];
+    let two = Mixture::with_shared_covariance(&plane, vec![0.0; 2], means, vec![2.0, 0.0, 0.0, 2.0]).unwrap();
+    let (read, _) =
+        MixtureMessage::from_particles(&two.sample(2000, &mut stream(32)).unwrap(), &form).unwrap();
+    assert_eq!(read.density().unwrap().regions().unwrap(), Some(2));
+}

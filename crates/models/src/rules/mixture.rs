@@ -19,7 +19,7 @@ use crate::{Linearised, Ring};
 use rand::RngExt;
 use senders::{Combination, Senders, combinations};
 use sumprod_graph::{Coordinate, MessageError, Port, Stream, wrap_angle};
-use sumprod_messages::{Cholesky, Mixture, MixtureForm, MixtureMessage, Potential};
+use sumprod_messages::{Cholesky, Mixture, MixtureForm, MixtureMessage, Moments, Potential};
 
 /// Deviation from the line, in standard deviations of the residual two of the belief's away, up to which one line
 /// serves all of the belief.
@@ -38,26 +38,25 @@ pub(crate) fn message<T: Rules + Linearised>(
     stream: &mut Stream,
 ) -> Result<(MixtureMessage, f64), MessageError> {
     let coordinates = MixtureView::coordinates(view, to);
-    let (combinations, loss) = match combinations(model, to, view, form)? {
+    let (combinations, loss) = match combinations(model, ring.as_ref(), to, view, form)? {
         Senders::Distributions(combinations, loss) => (combinations, loss),
         Senders::Flat => return Ok((MixtureMessage::flat(coordinates), 0.0)),
         Senders::Open => return gaussian(model, to, view),
     };
-    let guide = view.guide(to);
     let target = Target { model, coordinates };
-    if let Some(guide) = &guide {
-        let mean = guide.moments();
-        if target.deviation(&combinations, &mean.mean, &mean.covariance)? <= LINEAR {
-            return target.linear(&combinations, &mean.mean, form, loss);
+    if let Some(Moments { mean, covariance }) = view.moments(to)
+        && target.deviation(&combinations, &mean, &covariance)? <= LINEAR
+    {
+        return target.linear(&combinations, &mean, form, loss);
+    }
+    if let (Some(ring), None) = (&ring, model.noise().degrees_of_freedom()) {
+        let guide = view.guide(to, Some(&ring.position));
+        let phase = stream.fast().random();
+        if let Some(potential) = ring::kernels(&target, ring, &combinations, guide.as_ref(), phase)? {
+            return finish(potential, loss, form);
         }
     }
-    if let (Some(ring), None) = (&ring, model.noise().degrees_of_freedom())
-        && let Some(potential) =
-            ring::kernels(&target, ring, &combinations, guide.as_ref(), form, stream.fast().random())?
-    {
-        return finish(potential, loss, form);
-    }
-    match guide {
+    match view.guide(to, None) {
         Some(guide) => finish(windows::kernels(&target, &combinations, &guide, form)?, loss, form),
         None => match ring.as_ref().map(|ring| ring::surroundings(&target, ring, &combinations)) {
             Some(around) => finish(windows::kernels(&target, &combinations, &around?, form)?, loss, form),

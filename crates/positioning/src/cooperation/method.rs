@@ -26,7 +26,7 @@ pub struct Method {
     /// Number of particles of every edge whose form is not given; without it such edges are Gaussian.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub particles: Option<usize>,
-    /// Number of the sender's particles that a message averages over; all without it.
+    /// Number of the sender's particles that a message averages over, unless a form gives its own; all without it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub senders: Option<usize>,
     /// Where predicted particles are drawn from: `informed` (the default) or `prediction`.
@@ -142,11 +142,12 @@ impl Method {
             Some(count) => FormSpec::particles(count, self.senders, self.proposal.unwrap_or_default()),
             None => FormSpec::gaussian(),
         };
-        let range = self.form.range.unwrap_or(otherwise);
+        let form = |given: Option<FormSpec>| given.map(|form| form.with_senders(self.senders));
+        let range = form(self.form.range).unwrap_or(otherwise);
         Plan {
-            prediction: self.form.prediction.unwrap_or(otherwise).0,
+            prediction: form(self.form.prediction).unwrap_or(otherwise).0,
             range: range.0,
-            anchor: self.form.anchor.unwrap_or(range).0,
+            anchor: form(self.form.anchor).unwrap_or(range).0,
             rounds: self.rounds,
             anchors_first: self.anchors_first,
             neighbours: self.neighbours,
@@ -170,6 +171,8 @@ mod tests {
         let plan = read(r#"{"form": {"range": {"particles": 300}}}"#);
         assert_eq!((plan.prediction.name(), plan.range, plan.anchor), ("gaussian", plan.anchor, plan.range));
         assert_eq!(plan.range.name(), "particles");
+        let plan = read(r#"{"particles": 50, "senders": 20, "form": {"range": {"particles": 300}}}"#);
+        assert_eq!(plan.range, FormSpec::particles(300, Some(20), Proposal::Informed).0);
         let plan = read(r#"{"particles": 50, "senders": 20, "form": {"anchor": "gaussian"}}"#);
         let expected = FormSpec::particles(50, Some(20), Proposal::Informed).0;
         assert_eq!((plan.prediction, plan.range, plan.anchor), (expected, expected, AnyForm::gaussian()));

@@ -82,6 +82,7 @@ fn run_network(
     let id = out.id.clone();
     let failed = |error: GraphError| PositioningError::method(&id, error);
     let mut filter = NetworkFilter::new(world, draw, plan, options).map_err(failed)?;
+    out.notes.extend(plan.unused_products());
     let mut costs = Costs::default();
     for (k, slice) in (1..).zip(&draw.slices) {
         filter.step(slice).map_err(failed)?;

@@ -15,6 +15,7 @@ use sumprod_models::{Model, Noise, ResidualModel, Transition};
 
 use super::plug_in::PlugInRange;
 use super::world::{Draw, Slice, State, World};
+use crate::form::unused_products;
 
 /// Number of state components of an agent.
 pub(super) const DIMENSION: usize = 4;
@@ -80,6 +81,12 @@ impl Default for Plan {
 }
 
 impl Plan {
+    /// What to tell of a product method that the beliefs' form has no use for.
+    pub(super) fn unused_products(&self) -> Option<String> {
+        let edges = [(PREDICTION, self.prediction), (RANGE, self.range), (ANCHOR, self.anchor)];
+        unused_products(&carried(self), &edges)
+    }
+
     /// Whether predicted particles are drawn where Gaussian messages say.
     fn is_guided(&self) -> bool {
         matches!(self.prediction, AnyForm::Particles(form) if form.proposal != Proposal::Prediction)

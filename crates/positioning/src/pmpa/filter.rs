@@ -9,7 +9,7 @@
 use std::sync::Arc;
 
 use sumprod_graph::schedule::Sliced;
-use sumprod_graph::{Factor, MessageError, Options, Purpose, Space, Stream, Window, WindowVariable};
+use sumprod_graph::{Factor, Message, MessageError, Options, Purpose, Space, Stream, Window, WindowVariable};
 use sumprod_messages::{AnyForm, AnyMessage};
 use sumprod_models::library::{AnchorOffset, AnchorRange, ConstantVelocity};
 use sumprod_models::{Model, Motion, Noise, ProcessNoise, Real, ResidualModel, Transition};
@@ -19,7 +19,7 @@ use super::method::{KernelRule, MethodSettings, StateModel};
 use super::world::{Measured, World, WorldSettings};
 use crate::costs::Costs;
 use crate::error::PositioningError;
-use crate::form::FormSpec;
+use crate::form::{FormSpec, unused_products};
 use crate::results::{MethodRun, StateLayout};
 
 type SharedFactor = Arc<dyn Factor<AnyMessage>>;
@@ -158,6 +158,13 @@ impl<'a> Filter<'a> {
                 out.notes.push(UNGUIDED.to_owned());
             }
         }
+        let kinds = [
+            (PREDICTION, self.method.prediction_form()),
+            (OWN, self.method.own_form()),
+            ("neighbour", self.method.neighbour_form(self.settings.neighbour_measurement)),
+        ];
+        let carried = AnyMessage::belief_form(kinds.iter().map(|(_, form)| form));
+        out.notes.extend(unused_products(&carried, &kinds));
         let mut costs = Costs::default();
         for step in 1..=self.settings.steps as usize {
             let scan = self.open(step).map_err(failed)?;

@@ -64,6 +64,16 @@ pub struct ProductQuality {
 }
 
 impl ProductQuality {
+    /// What an automatic choice of this kind is called where many are counted.
+    fn reasons(&self) -> Option<&'static str> {
+        self.reason.as_ref().map(|_| match self.method.as_str() {
+            "exact" => "few label choices",
+            "pairwise" => "many label choices",
+            "multiscale-gibbs" => "many label choices and narrow kernels",
+            _ => "the only choice",
+        })
+    }
+
     pub(super) fn new(method: &str, effective_sample_size: f64) -> Self {
         Self { method: method.into(), effective_sample_size, ..Self::default() }
     }
@@ -78,6 +88,7 @@ impl ProductQuality {
         let method = METHODS.iter().find(|name| **name == self.method).copied().unwrap_or("other");
         ProductOutcome {
             method,
+            reason: self.reasons(),
             label_change: self.label_change,
             divergence: self.divergence,
             modes_before: self.modes_before.as_ref().and_then(|modes| modes.iter().max().copied()),

@@ -11,13 +11,12 @@
 //! Kernels longer than wide need M = 2π √(2z/σ) of them where round ones need 2πz/σ.
 
 use super::senders::Combination;
-use super::windows::on;
 use super::{Target, Weighed};
 use crate::small::{Matrix, Vector, zero_vector, zeros};
 use crate::{Ring, RingCentre};
 use std::f64::consts::TAU;
 use sumprod_graph::{MessageError, Space};
-use sumprod_messages::{Mixture, MixtureForm, Potential};
+use sumprod_messages::{Mixture, Potential};
 
 /// τ² over 2zσ: how far a kernel's end leaves the ring, in standard deviations across it.
 const BEND: f64 = 0.25;
@@ -97,14 +96,13 @@ fn hubs(ring: &Ring, combinations: &[Combination]) -> Vec<Hub> {
     combinations.iter().filter_map(hub).collect()
 }
 
-/// The ring's kernels, with their masses where there is a belief to guide; none where a ring is no good picture of
-/// the range.
+/// The ring's kernels, with their masses where there is a belief to guide (on the ring's coordinates); none where a ring
+/// is no good picture of the range.
 pub(super) fn kernels(
     target: &Target<'_>,
     ring: &Ring,
     combinations: &[Combination],
     guide: Option<&Mixture>,
-    form: &MixtureForm,
     phase: f64,
 ) -> Result<Option<Weighed>, MessageError> {
     let noise = target.model.noise().covariance()[0];
@@ -116,7 +114,6 @@ pub(super) fn kernels(
     if narrow.iter().any(|hub| radius * radius < THICK * THICK * (noise + hub.axes().0)) {
         return Ok(None);
     }
-    let guide = guide.map(|guide| on(&guide.reduce(form.components)?.0, &ring.position)).transpose()?;
     let d = target.dimension();
     let mut potential = Potential::new(target.coordinates);
     let mut log_masses = Vec::new();
@@ -145,7 +142,7 @@ pub(super) fn kernels(
             information[y * d + x] = information[x * d + y];
             let log_value = hub.log_weight - 0.5 * variance.ln();
             push(&mut potential, log_value, &centre, &information);
-            if let Some(guide) = &guide {
+            if let Some(guide) = guide {
                 let kernel = [variance, spacing * spacing];
                 log_masses.push(log_value + overlap(guide, [centre[x], centre[y]], [cosine, sine], kernel));
             }

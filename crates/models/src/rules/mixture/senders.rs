@@ -1,8 +1,9 @@
 //! The senders' mixtures, one component of each at a time.
 
 use super::super::MixtureView;
-use crate::Linearised;
-use crate::small::Vector;
+use crate::small::{Vector, zero_vector};
+use crate::{Linearised, Ring, RingCentre};
+use smallvec::SmallVec;
 use sumprod_graph::{MessageError, Port};
 use sumprod_messages::{Mixture, MixtureForm};
 
@@ -46,8 +47,10 @@ pub(super) enum Senders {
 }
 
 /// Combinations of the senders' components, of which no more are kept than the form's number of components.
+/// Of the centre of a `ring` its place alone is read, and the rest of its state taken to be known.
 pub(super) fn combinations(
     model: &dyn Linearised,
+    ring: Option<&Ring>,
     to: Port,
     view: &dyn MixtureView,
     form: &MixtureForm,
@@ -60,13 +63,33 @@ pub(super) fn combinations(
     let (mut start, mut loss, mut open) = (0, 0.0, false);
     for (port, &dimension) in dimensions.iter().enumerate() {
         if port != to {
-            let (message, cost) = view.mixture(port, form)?;
+            let place = match ring.map(|ring| &ring.centre) {
+                Some(RingCentre::Port(centre, place)) if *centre == port => Some(place.as_slice()),
+                _ => None,
+            };
+            let marginal = match place {
+                Some(place) => {
+                    view.marginal(port, place, form)?.map(|(message, cost)| (message, cost, place))
+                }
+                None => None,
+            };
+            let whole: SmallVec<[usize; 6]> = (0..dimension).collect();
+            let (message, cost, read) = match marginal {
+                Some(marginal) => marginal,
+                None => {
+                    let (message, cost) = view.mixture(port, form)?;
+                    (message, cost, whole.as_slice())
+                }
+            };
             if message.is_flat() {
                 return Ok(Senders::Flat);
             }
             loss += cost;
             match message.to_density() {
-                Ok(density) => all = joined(&all, port, start, &density, form.components),
+                Ok(density) => {
+                    let sender = Sender { port, start, dimension, read, density: &density };
+                    all = joined(&all, &sender, form.components);
+                }
                 Err(_) if message.len() == 1 => open = true,
                 Err(error) => return Err(error),
             }
@@ -80,22 +103,32 @@ pub(super) fn combinations(
     Ok(Senders::Distributions(all, loss))
 }
 
-/// Every combination with every component of `density`, the heaviest `count` of them.
-fn joined(
-    all: &[Combination],
+/// The mixture at a port, on those of its coordinates that the factor reads.
+struct Sender<'a> {
     port: Port,
     start: usize,
-    density: &Mixture,
-    count: usize,
-) -> Vec<Combination> {
+    dimension: usize,
+    read: &'a [usize],
+    density: &'a Mixture,
+}
+
+/// Every combination with every component of a sender, the heaviest `count` of them.
+fn joined(all: &[Combination], sender: &Sender<'_>, count: usize) -> Vec<Combination> {
+    let Sender { port, start, dimension, read, density } = *sender;
     let mut longer = Vec::with_capacity(all.len() * density.len());
     for combination in all {
         for i in 0..density.len() {
             let mut next = combination.clone();
-            let mean = Vector::from_slice(density.mean_of(i));
+            let (mut mean, mut covariance) = (zero_vector(dimension), vec![0.0; dimension * dimension]);
+            for (row, &to) in read.iter().enumerate() {
+                mean[to] = density.mean_of(i)[row];
+                for (column, &from) in read.iter().enumerate() {
+                    covariance[to * dimension + from] = density.covariance_of(i)[row * read.len() + column];
+                }
+            }
             next.log_weight += density.log_weights()[i];
-            next.point[start..][..mean.len()].copy_from_slice(&mean);
-            next.parts.push(Part { port, start, mean, covariance: density.covariance_of(i).to_vec() });
+            next.point[start..][..dimension].copy_from_slice(&mean);
+            next.parts.push(Part { port, start, mean, covariance });
             longer.push(next);
         }
     }

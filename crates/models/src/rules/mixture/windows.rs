@@ -9,7 +9,7 @@ use super::senders::Combination;
 use super::{LINEAR, Target, Weighed};
 use crate::small::{Vector, zero_vector, zeros};
 use std::f64::consts::{PI, TAU};
-use sumprod_graph::{Coordinate, MessageError, Space, wrap_angle};
+use sumprod_graph::{Coordinate, MessageError, wrap_angle};
 use sumprod_messages::{Cholesky, Mixture, MixtureForm, Potential};
 
 /// Components of the belief that a lattice is laid around.
@@ -49,7 +49,7 @@ pub(super) fn kernels(
     let room = LINES / (senders.len() * guide.len()).max(1);
     let lattices = lattices(target, senders, &guide, &read, room)?;
     let kinds: Vec<Coordinate> = read.iter().map(|&k| target.coordinates[k]).collect();
-    let belief = on(&guide, &read)?;
+    let belief = guide.marginal(&read)?;
     let mut potential = Potential::new(target.coordinates);
     let mut log_masses = Vec::new();
     let n = read.len();
@@ -81,20 +81,6 @@ pub(super) fn kernels(
     Ok(Weighed { potential, log_masses: Some(log_masses) })
 }
 
-/// The marginal of a mixture on some of its coordinates.
-pub(super) fn on(mixture: &Mixture, read: &[usize]) -> Result<Mixture, MessageError> {
-    let d = mixture.dimension();
-    let kinds: Vec<Coordinate> = read.iter().map(|&k| mixture.coordinates()[k]).collect();
-    let (mut means, mut covariances) = (Vec::new(), Vec::new());
-    for i in 0..mixture.len() {
-        means.extend(read.iter().map(|&k| mixture.mean_of(i)[k]));
-        let own = mixture.covariance_of(i);
-        covariances
-            .extend(read.iter().flat_map(|&row| read.iter().map(move |&column| own[row * d + column])));
-    }
-    Mixture::new(&Space::new(kinds), mixture.log_weights().to_vec(), means, covariances)
-}
-
 fn lattices(
     target: &Target<'_>,
     senders: &[Combination],
@@ -102,7 +88,7 @@ fn lattices(
     read: &[usize],
     room: usize,
 ) -> Result<Vec<Lattice>, MessageError> {
-    let marginal = on(guide, read)?;
+    let marginal = guide.marginal(read)?;
     (0..guide.len())
         .map(|i| {
             let deviation = target.deviation(senders, guide.mean_of(i), guide.covariance_of(i))?;
