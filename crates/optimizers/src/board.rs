@@ -39,7 +39,7 @@ mod settings;
 mod swarm;
 
 use sumprod_graph::FastStream;
-use sumprod_messages::{Evaluator, Mixture};
+use sumprod_messages::{Evaluator, Mixture, Particles};
 
 use crate::error::OptimizerError;
 use crate::moves::{Move, Moved, Validity};
@@ -88,7 +88,7 @@ impl KnowledgeBoard {
     ///
     /// Where the likelihood or the prior's density cannot be evaluated.
     pub fn search(&self, target: &mut Target<'_>, random: &mut FastStream) -> Result<Search, OptimizerError> {
-        let cloud = Cloud::new(target, self.settings.sub_swarms)?;
+        let cloud = self.cloud(target)?;
         let prior_density = Evaluator::new(&cloud.prior);
         let (swarms, _) = self.moved(&cloud, &prior_density, target, random)?;
         let mut board = swarms.board;
@@ -101,6 +101,17 @@ impl KnowledgeBoard {
             board,
             lives: swarms.lives,
         })
+    }
+
+    fn cloud(&self, target: &Target<'_>) -> Result<Cloud, OptimizerError> {
+        let prior = target.prior();
+        match self.settings.form {
+            BoardForm::Valid => Cloud::new(prior, self.settings.sub_swarms),
+            BoardForm::Literal => {
+                let forgetful = Particles::equally_weighted(&target.space(), prior.points().to_vec())?;
+                Cloud::new(&forgetful, self.settings.sub_swarms)
+            }
+        }
     }
 
     /// The swarms after their search, and the log likelihood at the prior's points in the partition's order.
@@ -135,7 +146,7 @@ impl KnowledgeBoard {
     }
 
     fn literal(&self, target: &mut Target<'_>, random: &mut FastStream) -> Result<Moved, OptimizerError> {
-        let cloud = Cloud::new(target, self.settings.sub_swarms)?;
+        let cloud = self.cloud(target)?;
         let prior_density = Evaluator::new(&cloud.prior);
         let (swarms, _) = self.moved(&cloud, &prior_density, target, random)?;
         let points = cloud.chart.places(&swarms.positions);
@@ -146,7 +157,7 @@ impl KnowledgeBoard {
     }
 
     fn valid(&self, target: &mut Target<'_>, random: &mut FastStream) -> Result<Moved, OptimizerError> {
-        let cloud = Cloud::new(target, self.settings.sub_swarms)?;
+        let cloud = self.cloud(target)?;
         let prior_density = Evaluator::new(&cloud.prior);
         let (swarms, likelihood) = self.moved(&cloud, &prior_density, target, random)?;
         let weighed: Vec<f64> =
@@ -200,8 +211,8 @@ struct Cloud {
 }
 
 impl Cloud {
-    fn new(target: &Target<'_>, sub_swarms: usize) -> Result<Self, OptimizerError> {
-        let (prior, d) = (target.prior(), target.dimension());
+    fn new(prior: &Particles, sub_swarms: usize) -> Result<Self, OptimizerError> {
+        let d = prior.dimension();
         let chart = Chart::of(prior);
         let unsorted = chart.standardises(prior.points());
         let partition = Partition::new(&unsorted, d, sub_swarms);
@@ -233,7 +244,6 @@ impl Cloud {
 mod tests {
     use super::*;
     use sumprod_graph::{Purpose, Space, Stream};
-    use sumprod_messages::Particles;
 
     fn line(count: u32) -> Particles {
         let points = (0..count).map(|k| 8.0 * (f64::from(k) / f64::from(count - 1) - 0.5)).collect();

@@ -261,7 +261,10 @@ impl Chosen {
         let total: f64 = weights.iter().sum();
         let effective_sample_size = effective_sample_size(&weights);
         weights.iter_mut().for_each(|weight| *weight /= total);
-        let ancestors = Systematic.choose(&weights, log_weights.len(), random);
+        let ascending = Systematic.choose(&weights, log_weights.len(), random);
+        // Copies of one particle come next to each other: dealt to the halves in turn, they are as many in both.
+        let ancestors =
+            ascending.iter().step_by(2).chain(ascending.iter().skip(1).step_by(2)).copied().collect();
         Ok(Self { ancestors, log_evidence, effective_sample_size })
     }
 

@@ -7,7 +7,9 @@
 //! h = (4 / (d + 2))^(1/(d+4)) n^(-1/(d+4)), n the cloud's effective sample size. Source: Silverman, "Density
 //! estimation" (1986), section 4.3; the shrinkage: West, "Approximating posterior distributions by mixtures" (1993).
 
-use sumprod_graph::{Coordinate, wrap_angle};
+use rand_distr::{Distribution, StandardNormal};
+use smallvec::SmallVec;
+use sumprod_graph::{Coordinate, FastStream, wrap_angle};
 use sumprod_messages::{Cholesky, Particles, floor_diagonal};
 
 use crate::error::OptimizerError;
@@ -98,6 +100,12 @@ impl CloudKernel {
     /// The width h.
     pub fn width(&self) -> f64 {
         self.width
+    }
+
+    /// A draw from the kernel around a particle.
+    pub fn draw(&self, centre: &[f64], random: &mut FastStream, point: &mut [f64]) {
+        let standard: SmallVec<[f64; 6]> = centre.iter().map(|_| StandardNormal.sample(random)).collect();
+        self.place(centre, &standard, point);
     }
 
     /// m + a (c - m) + h L u.

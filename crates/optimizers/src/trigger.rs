@@ -28,6 +28,9 @@ impl Trigger {
     /// Reselect at every step.
     pub const ALWAYS: Self = Self { share: 1.0 };
 
+    /// Never reselect.
+    pub const NEVER: Self = Self { share: 0.0 };
+
     /// Reselect where N_eff is at or below `share` (0 to 1) of the number of particles.
     ///
     /// # Errors

@@ -8,6 +8,9 @@ use crate::error::OptimizerError;
 use crate::moves::{Move, Moved, Validity};
 use crate::target::Target;
 
+/// Least floor: the probability of a string of 16 such bits is still a number.
+const LEAST_FLOOR: f64 = 1e-6;
+
 /// Weighs and reselects once, from the uniform register; then each generation measures a register for every chain and
 /// accepts the string with probability min(1, π(x') q(b) / (π(x) q(b'))).
 ///
@@ -20,7 +23,7 @@ pub struct QuantumMetropolis {
     pub generations: usize,
     /// Bits a coordinate.
     pub coding: Coding,
-    /// Least probability of a bit, at most ½.
+    /// Least probability of a bit, between 10⁻⁶ and ½.
     pub floor: f64,
     /// Factor of the kernel's width.
     pub kernel_scale: f64,
@@ -35,13 +38,9 @@ impl Default for QuantumMetropolis {
 
 impl Move for QuantumMetropolis {
     fn advance(&self, target: &mut Target<'_>, random: &mut FastStream) -> Result<Moved, OptimizerError> {
-        if !(self.floor > 0.0 && self.floor <= 0.5) {
+        if !(LEAST_FLOOR..=0.5).contains(&self.floor) {
             let (what, value) = ("the least probability of a bit", self.floor);
-            return Err(OptimizerError::Parameter {
-                what,
-                value,
-                must: "it must lie above 0 and at most at 0.5",
-            });
+            return Err(OptimizerError::Parameter { what, value, must: "it must lie between 1e-6 and 0.5" });
         }
         let d = target.dimension();
         let scale = crate::regularised::kernel_scale(self.kernel_scale)?;

@@ -15,13 +15,16 @@ pub struct Register {
     coding: Coding,
     coordinates: usize,
     angles: Vec<f64>,
+    /// sin²ξ of each qubit.
+    ones: Vec<f64>,
 }
 
 impl Register {
     /// The uniform superposition: every string of `chromosomes` chromosomes is equally likely.
     pub fn uniform(coding: Coding, coordinates: usize, chromosomes: usize) -> Self {
         let qubits = coding.bits() * coordinates;
-        Self { coding, coordinates, angles: vec![FRAC_PI_4; qubits * chromosomes] }
+        let count = qubits * chromosomes;
+        Self { coding, coordinates, angles: vec![FRAC_PI_4; count], ones: vec![0.5; count] }
     }
 
     /// A single chromosome whose bits are 1 as often as in `codes` (rows of one code a coordinate), but neither less
@@ -32,27 +35,28 @@ impl Register {
         if rows == 0 {
             return register;
         }
-        for (qubit, angle) in register.angles.iter_mut().enumerate() {
+        for (qubit, (angle, one)) in register.angles.iter_mut().zip(&mut register.ones).enumerate() {
             let (coordinate, place) = (qubit / coding.bits(), qubit % coding.bits());
             let column = codes.iter().skip(coordinate).step_by(coordinates);
-            let ones = column.filter(|&&code| coding.bit(code, place)).count();
-            let share = (ones as f64 / rows as f64).clamp(floor, 1.0 - floor);
-            *angle = share.sqrt().asin();
+            let found = column.filter(|&&code| coding.bit(code, place)).count();
+            *one = (found as f64 / rows as f64).clamp(floor, 1.0 - floor);
+            *angle = one.sqrt().asin();
         }
         register
     }
 
+    /// The probabilities of 1 of a chromosome's qubits.
     fn row(&self, chromosome: usize) -> &[f64] {
         let qubits = self.coding.bits() * self.coordinates;
-        &self.angles[chromosome * qubits..(chromosome + 1) * qubits]
+        &self.ones[chromosome * qubits..(chromosome + 1) * qubits]
     }
 
     /// Measures a chromosome: writes a code for each coordinate.
     pub fn measure(&self, chromosome: usize, random: &mut FastStream, codes: &mut [u16]) {
         for (qubits, code) in self.row(chromosome).chunks_exact(self.coding.bits()).zip(codes) {
             *code = 0;
-            for angle in qubits {
-                let one = random.random::<f64>() < angle.sin().powi(2);
+            for probability in qubits {
+                let one = random.random::<f64>() < *probability;
                 *code = *code << 1 | u16::from(one);
             }
         }
@@ -63,10 +67,11 @@ impl Register {
     pub fn log_uniform_ratio(&self, chromosome: usize, codes: &[u16]) -> f64 {
         let mut sum = 0.0;
         for (qubits, &code) in self.row(chromosome).chunks_exact(self.coding.bits()).zip(codes) {
-            for (place, angle) in qubits.iter().enumerate() {
-                let amplitude = if self.coding.bit(code, place) { angle.sin() } else { angle.cos() };
-                sum -= (2.0 * amplitude * amplitude).ln();
-            }
+            // At most 16 factors, none below 2 sin²ξ₀: their product keeps within range.
+            let bits = qubits.iter().enumerate();
+            let factors =
+                bits.map(|(place, one)| if self.coding.bit(code, place) { *one } else { 1.0 - one });
+            sum -= factors.fold(1.0, |product, factor| product * 2.0 * factor).ln();
         }
         sum
     }
@@ -78,8 +83,12 @@ impl Register {
         for (coordinate, (&code, &towards)) in codes.iter().zip(reference).enumerate() {
             for place in 0..bits.min(gate.places) {
                 let turn = Rotation::direction(self.coding.bit(code, place), self.coding.bit(towards, place));
-                let angle = &mut self.angles[start + coordinate * bits + place];
-                *angle = (*angle + turn * gate.angle).clamp(gate.floor, FRAC_PI_2 - gate.floor);
+                if turn != 0.0 {
+                    let qubit = start + coordinate * bits + place;
+                    let angle =
+                        (self.angles[qubit] + turn * gate.angle).clamp(gate.floor, FRAC_PI_2 - gate.floor);
+                    (self.angles[qubit], self.ones[qubit]) = (angle, angle.sin().powi(2));
+                }
             }
         }
     }
@@ -171,12 +180,12 @@ mod tests {
         let mut register = Register::uniform(coding, 1, 1);
         let gate = Rotation::new(0.1, 2).unwrap();
         register.rotate(0, &[0b001], &[0b100], &gate);
-        let expected = [FRAC_PI_4 + 0.1, FRAC_PI_4, FRAC_PI_4];
-        assert_eq!(register.row(0), expected);
+        assert_eq!(register.angles, [FRAC_PI_4 + 0.1, FRAC_PI_4, FRAC_PI_4]);
         for _ in 0..20 {
             register.rotate(0, &[0b001], &[0b100], &gate);
         }
-        assert!((register.row(0)[0] - (FRAC_PI_2 - 0.12)).abs() < 1e-12);
+        assert!((register.angles[0] - (FRAC_PI_2 - 0.12)).abs() < 1e-12);
+        assert_eq!(register.row(0)[0], (FRAC_PI_2 - 0.12).sin().powi(2));
         assert!(Rotation::new(f64::NAN, 1).is_err());
     }
 }
