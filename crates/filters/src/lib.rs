@@ -17,5 +17,5 @@ mod verbs;
 
 pub use error::FilterError;
 pub use gaussian::{Approximation, GaussianRecord, Imm, Kalman, ModeRecord, Prediction, Square, SquareRoot};
-pub use particle::{ParticleFilter, ParticleRecord, RaoBlackwellised, Recovery};
+pub use particle::{DrivenFilter, ParticleFilter, ParticleRecord, RaoBlackwellised, Recovery, Told};
 pub use verbs::{Correct, Correction, Filter, Predict, Run, Smooth, Step};

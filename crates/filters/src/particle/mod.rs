@@ -1,6 +1,7 @@
 //! Filters whose belief is weighted particles.
 
 mod backward;
+mod driven;
 mod filter;
 mod look_ahead;
 mod prior;
@@ -9,6 +10,7 @@ mod recovery;
 mod summary;
 mod weights;
 
+pub use driven::{DrivenFilter, Told};
 pub use filter::{ParticleFilter, ParticleRecord};
 pub use rao_blackwellised::RaoBlackwellised;
 pub use recovery::Recovery;
