@@ -12,6 +12,7 @@
 //! | [`pmpa`] | one target among known nodes: Kalman, particle and message-passing filters |
 //! | [`product`] | products of recorded mixtures, by several methods |
 //! | [`range_slam`] | landmarks located by ranges alone, by mixtures |
+//! | [`wsn`] | one target among range sensors: iterated Kalman, particle and optimizer-driven filters |
 //! | [`robots`] | robots located on recorded data |
 //! | [`kcpf`] | the growth model and the coordinated turn of the knowledge-board paper |
 //! | [`walk`] | a person tracked by the links of a recorded radio network |
@@ -20,7 +21,6 @@
 pub mod campaign;
 pub mod cooperation;
 mod costs;
-mod driven;
 pub mod error;
 pub mod form;
 pub mod graphs;
@@ -33,6 +33,8 @@ pub mod results;
 pub mod robots;
 pub mod scenario;
 pub mod static_network;
+mod tracking;
 pub mod walk;
+pub mod wsn;
 
 pub use error::PositioningError;

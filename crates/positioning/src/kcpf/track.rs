@@ -2,14 +2,13 @@
 
 use std::error::Error;
 
-use sumprod_filters::{Correct, Filter, Kalman, ParticleFilter, Predict};
+use sumprod_filters::{Correct, DrivenFilter, Filter, Kalman, ParticleFilter, Predict};
 use sumprod_graph::Space;
 use sumprod_messages::{Moments, Particles};
 use sumprod_models::{Motion, Residual};
-use sumprod_optimizers::KnowledgeBoard;
+use sumprod_optimizers::{KnowledgeBoard, Trigger};
 
 use super::method::{Algorithm, MethodSettings};
-use crate::driven::{Driven, Measured};
 use crate::error::PositioningError;
 use crate::results::{DiagnosticSeries, MethodRun};
 
@@ -104,18 +103,24 @@ fn board<M: Motion, R: Residual>(
     seed: u64,
     out: &mut MethodRun,
 ) -> Result<(), PositioningError> {
-    let (count, marginal) = (method.particles(), method.is_marginal());
-    let swarm = KnowledgeBoard::new(method.board()).map_err(failed(&out.id))?;
-    let mut filter = Driven::new(Box::new(swarm), marginal, prior, count, seed).map_err(failed(&out.id))?;
+    let swarm = Box::new(KnowledgeBoard::new(method.board()).map_err(failed(&out.id))?);
+    let space = Space::real(prior.dimension());
+    let filter =
+        DrivenFilter::new(&space, prior, method.particles(), seed, swarm).map_err(failed(&out.id))?;
+    // The swarm draws anew by the weights; reselection before it would only add noise.
+    let mut filter = filter.reselecting_when(Trigger::NEVER);
+    if method.is_marginal() {
+        filter = filter.knowing_density();
+    }
     let mut log_evidence = Some(0.0);
     let mut effective = EffectiveSizes::default();
     for (number, step) in (1..).zip(steps) {
-        let moved = filter
-            .advance(&step.motion, &Measured(&step.measurement))
-            .map_err(|error| PositioningError::method(&out.id, AtStep { step: number, error }))?;
-        log_evidence = log_evidence.zip(moved.log_evidence).map(|(sum, log)| sum + log);
-        effective.push(number, moved.effective_sample_size);
-        estimate(out, number, step, &moved.particles)?;
+        filter.predict(&step.motion).map_err(failed(&out.id))?;
+        filter.correct(&step.measurement).map_err(failed(&out.id))?;
+        let told = filter.told();
+        log_evidence = log_evidence.zip(told.log_evidence).map(|(sum, log)| sum + log);
+        effective.push(number, told.effective_sample_size);
+        estimate(out, number, step, filter.particles())?;
     }
     if let Some(log_evidence) = log_evidence {
         out.diagnose("log_evidence", log_evidence);
@@ -147,13 +152,6 @@ fn estimate<M, R>(
 
 fn failed<E: Error + Send + Sync + 'static>(id: &str) -> impl FnOnce(E) -> PositioningError + '_ {
     move |error| PositioningError::method(id, error)
-}
-
-#[derive(Debug, thiserror::Error)]
-#[error("step {step}: {error}")]
-struct AtStep {
-    step: u32,
-    error: sumprod_optimizers::OptimizerError,
 }
 
 /// Effective sample sizes by step.

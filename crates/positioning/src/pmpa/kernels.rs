@@ -16,7 +16,6 @@
 //! labels of the other messages, and so is it done.
 
 use rand::RngExt;
-use rand_distr::{Distribution, StandardNormal};
 use std::f64::consts::TAU;
 use sumprod_graph::{FastStream, MessageError, Purpose, Space, Stream};
 use sumprod_messages::{Evaluator, Literal, Mixture, Particles};
@@ -26,6 +25,7 @@ use super::method::{KernelRule, MethodSettings, ring_kernels};
 use super::world::{Hearing, Measured, World, WorldSettings};
 use crate::error::PositioningError;
 use crate::results::MethodRun;
+use crate::tracking::normal;
 
 type Failure = Box<dyn std::error::Error + Send + Sync>;
 
@@ -262,8 +262,4 @@ fn ring(centre: [f64; 2], radius: f64, deviation: f64, phase: f64) -> Vec<f64> {
     let count = ring_kernels(radius, deviation);
     let angles = (0..count as usize).map(|i| TAU * (i as f64 + phase) / count);
     angles.flat_map(|angle| [centre[0] + radius * angle.cos(), centre[1] + radius * angle.sin()]).collect()
-}
-
-fn normal(random: &mut FastStream) -> f64 {
-    StandardNormal.sample(random)
 }

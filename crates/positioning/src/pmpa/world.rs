@@ -15,11 +15,11 @@
 //! a radius. Source: Fan, Wang, Zhou 2018, section 3.
 
 use rand::RngExt;
-use rand_distr::{Distribution, StandardNormal};
 use serde::{Deserialize, Serialize};
-use sumprod_graph::{FastStream, Purpose, Stream};
+use sumprod_graph::{Purpose, Stream};
 
 use crate::error::PositioningError;
+use crate::tracking::{normal, trajectory};
 
 /// What is measured of a node in reach.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -165,7 +165,8 @@ impl World {
     /// draws does not depend on the others.
     pub fn simulate(settings: &WorldSettings, seed: u64, run: u32) -> Self {
         let stream = |entity| Stream::new(seed, u64::from(run), Purpose::World, entity).fast();
-        let truth = trajectory(settings, &mut stream(MOTION));
+        let WorldSettings { start, interval, process_variance, steps, .. } = *settings;
+        let truth = trajectory(start, interval, process_variance, steps, &mut stream(MOTION));
         let spread = settings.measurement_variance.sqrt();
         let positions = || truth[1..].iter().map(|state| [state[0], state[2]]);
         let mut random = stream(FIXES);
@@ -197,25 +198,6 @@ impl World {
         }
         Self { truth, nodes, fixes, hearings }
     }
-}
-
-fn trajectory(settings: &WorldSettings, random: &mut FastStream) -> Vec<[f64; 4]> {
-    let (t, spread) = (settings.interval, settings.process_variance.sqrt());
-    let mut state = settings.start;
-    let mut truth = vec![state];
-    for _ in 0..settings.steps {
-        for axis in state.chunks_exact_mut(2) {
-            let acceleration = spread * normal(random);
-            axis[0] += t * axis[1] + 0.5 * t * t * acceleration;
-            axis[1] += t * acceleration;
-        }
-        truth.push(state);
-    }
-    truth
-}
-
-fn normal(random: &mut FastStream) -> f64 {
-    StandardNormal.sample(random)
 }
 
 #[cfg(test)]

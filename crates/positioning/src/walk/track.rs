@@ -2,18 +2,17 @@
 
 use std::error::Error;
 
-use sumprod_filters::{Correct, ParticleFilter, Predict};
+use sumprod_filters::{Correct, DrivenFilter, ParticleFilter, Predict};
 use sumprod_graph::{MessageError, Space};
 use sumprod_messages::{Moments, Particles};
 use sumprod_models::cloud::LogLikelihood;
 use sumprod_models::{Motion, ProcessNoise, Real};
-use sumprod_optimizers::{KnowledgeBoard, Move, QuantumMetropolis};
+use sumprod_optimizers::{KnowledgeBoard, Move, QuantumMetropolis, Trigger};
 
 use super::Prepared;
 use super::area::Area;
 use super::grid::{Density, cell_logs};
 use super::settings::{Algorithm, MethodSettings, ModelSettings};
-use crate::driven::Driven;
 use crate::error::PositioningError;
 use crate::results::MethodRun;
 
@@ -110,12 +109,16 @@ fn driven(
     out: &mut MethodRun,
 ) -> Result<(), PositioningError> {
     let prior = prior(&prepared.area);
-    let filter = Driven::new(movement, false, &prior, method.particles(), seed);
-    let mut filter = filter.map_err(|error| PositioningError::method(&out.id, error))?;
+    let filter = DrivenFilter::new(&Space::real(2), &prior, method.particles(), seed, movement);
+    let filter = filter.map_err(|error| PositioningError::method(&out.id, error))?;
+    // Both moves draw by the weights themselves.
+    let mut filter = filter.reselecting_when(Trigger::NEVER);
     walk(prepared, model, out, |variance, sweep| {
-        let moved = filter.advance(&Wander::new(variance)?, &likelihood(prepared, sweep))?;
-        let effective = Some(moved.effective_sample_size);
-        Ok(of_particles(&moved.particles, moved.log_evidence, effective, moved.acceptance))
+        filter.predict(&Wander::new(variance)?)?;
+        filter.correct(&LogLikelihood(likelihood(prepared, sweep)))?;
+        let told = filter.told();
+        let effective = Some(told.effective_sample_size);
+        Ok(of_particles(filter.particles(), told.log_evidence, effective, told.acceptance))
     })?;
     out.diagnose("likelihood_evaluations", filter.evaluations() as f64);
     Ok(())

@@ -3,12 +3,11 @@
 //! A prediction moves each cell's mass to f(x), shared between the two nearest cells, and convolves with the process
 //! noise. Sharing adds at most h²/4 to a variance of Q, h the width of a cell.
 
+use sumprod_models::cloud::log_values;
 use sumprod_models::{Motion, Residual};
-use sumprod_optimizers::LogDensity;
 
 use super::super::track::{Step, TAILS};
 use super::WorldSettings;
-use crate::driven::Measured;
 use crate::error::PositioningError;
 use crate::results::MethodRun;
 
@@ -40,7 +39,7 @@ pub fn run<M: Motion, R: Residual>(
             |source: Box<dyn std::error::Error + Send + Sync>| PositioningError::method(&out.id, source);
         let moved = moved(&density, &places, width, &step.motion);
         density = convolved(&moved, &kernel);
-        Measured(&step.measurement).log_values(&places, &mut logs).map_err(|error| fail(error.into()))?;
+        log_values(&step.measurement, &places, &mut logs);
         let largest = logs.iter().copied().fold(f64::NEG_INFINITY, f64::max);
         for (mass, log) in density.iter_mut().zip(&logs) {
             *mass *= (log - largest).exp();
