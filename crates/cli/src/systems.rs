@@ -12,6 +12,7 @@ use sumprod_positioning::robots::plaza::Plaza;
 use sumprod_positioning::scenario::Scenario;
 use sumprod_positioning::static_network::StaticNetwork;
 use sumprod_positioning::walk::Walk as RadioWalk;
+use sumprod_positioning::wsn::Wsn;
 
 use crate::document::Document;
 use crate::failure::Failure;
@@ -38,6 +39,7 @@ pub const SYSTEMS: &[&str] = &[
     Turn::SYSTEM,
     RadioWalk::SYSTEM,
     Graphs::SYSTEM,
+    Wsn::SYSTEM,
     #[cfg(test)]
     crate::testing::Walk::SYSTEM,
 ];
@@ -56,6 +58,7 @@ pub fn dispatch<A: Action>(document: &Document, action: A) -> Result<A::Output, 
         Turn::SYSTEM => action.on::<Turn>(document),
         RadioWalk::SYSTEM => action.on::<RadioWalk>(document),
         Graphs::SYSTEM => action.on::<Graphs>(document),
+        Wsn::SYSTEM => action.on::<Wsn>(document),
         #[cfg(test)]
         crate::testing::Walk::SYSTEM => action.on::<crate::testing::Walk>(document),
         unknown => {

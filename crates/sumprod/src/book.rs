@@ -27,6 +27,7 @@ chapters! {
     Data: "../../../docs/src/data.md",
     PMpa: "../../../docs/src/p-mpa.md",
     Kcpf: "../../../docs/src/kcpf.md",
+    Qgpf: "../../../docs/src/qgpf.md",
     Cooperation: "../../../docs/src/cooperation.md",
     RangeSlam: "../../../docs/src/range-slam.md",
     Decisions: "../../../docs/src/decisions.md",
