@@ -2,6 +2,9 @@
 
 #[path = "../examples/encoder_calibration.rs"]
 mod encoder_calibration;
+#[path = "../examples/equal_evaluations.rs"]
+#[allow(dead_code, reason = "the tests run it in small")]
+mod equal_evaluations;
 #[path = "../examples/filters.rs"]
 mod filters;
 #[path = "../examples/kcpf.rs"]
@@ -12,6 +15,8 @@ mod linear_chain;
 mod own_factor;
 #[path = "../examples/own_message.rs"]
 mod own_message;
+#[path = "../examples/own_optimizer.rs"]
+mod own_optimizer;
 #[path = "../examples/own_schedule.rs"]
 mod own_schedule;
 #[path = "../examples/p_mpa.rs"]
@@ -39,9 +44,15 @@ mod of {
         linear_chain,
         own_factor,
         own_message,
+        own_optimizer,
         own_schedule,
         p_mpa,
         pose_graph,
         swap_forms
     );
+
+    #[test]
+    fn equal_evaluations() {
+        crate::equal_evaluations::in_small().unwrap();
+    }
 }
