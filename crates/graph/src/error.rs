@@ -65,6 +65,12 @@ pub enum MessageError {
         /// The variable's dimension.
         dimension: usize,
     },
+    /// Every state is ruled out.
+    #[error("{what} rules out every state: what its factors and priors allow contradicts")]
+    Impossible {
+        /// Which message or table.
+        what: &'static str,
+    },
     /// A rule or an operation that a family does not have.
     #[error("{0}")]
     Unsupported(String),

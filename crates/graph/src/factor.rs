@@ -47,6 +47,32 @@ impl<'a, M> Incoming<'a, M> {
     }
 }
 
+/// Consecutive factors and what they see: inputs and forms of their edges, in order.
+#[derive(Debug)]
+pub struct Group<'a, M: Message> {
+    pub(crate) inputs: &'a [M],
+    pub(crate) beliefs: &'a [M],
+    /// The variable at each edge.
+    pub(crate) variables: &'a [u32],
+    /// Where each factor's edges begin, and where the last one's end; counted as the graph counts edges.
+    pub(crate) bounds: &'a [u32],
+    pub(crate) forms: &'a [M::Form],
+    pub(crate) seed: u64,
+    pub(crate) iteration: u64,
+}
+
+impl<'a, M: Message> Group<'a, M> {
+    /// The messages from the variables, edge by edge.
+    pub fn inputs(&self) -> &'a [M] {
+        self.inputs
+    }
+
+    /// The forms of the edges.
+    pub fn forms(&self) -> &'a [M::Form] {
+        self.forms
+    }
+}
+
 /// One factor's rules for one family of messages.
 ///
 /// A factor knows nothing of the graph: it sees ports, and the messages and beliefs at them.
@@ -101,6 +127,38 @@ pub trait Factor<M: Message>: Send + Sync {
     ) -> Result<(), (Port, MessageError)> {
         for (to, (out, form)) in out.iter_mut().zip(forms).enumerate() {
             self.message_into(to, incoming, form, &mut streams.of(to), out).map_err(|error| (to, error))?;
+        }
+        Ok(())
+    }
+
+    /// The messages of consecutive factors into `out`, edge by edge, all from the same inputs: what a pass over the whole
+    /// graph calls of families that gather many ([`Message::GROUP`]). A graph of one concrete type of factor pays for
+    /// dispatch once per group, and its rule may work on all edges in one loop.
+    ///
+    /// # Errors
+    ///
+    /// The first edge of the group whose message failed, and why.
+    fn many_messages_into(
+        factors: &[Self],
+        group: &Group<'_, M>,
+        out: &mut [M],
+    ) -> Result<(), (usize, MessageError)>
+    where
+        Self: Sized,
+    {
+        let first = group.bounds.first().map_or(0, |&first| first as usize);
+        for (factor, bounds) in factors.iter().zip(group.bounds.windows(2)) {
+            let edges = bounds[0] as usize - first..bounds[1] as usize - first;
+            let incoming = Incoming::trusted(
+                &group.inputs[edges.clone()],
+                group.beliefs,
+                &group.variables[edges.clone()],
+            );
+            let streams = MessageStreams::new(group.seed, group.iteration, u64::from(bounds[0]));
+            let forms = &group.forms[edges.clone()];
+            factor
+                .all_messages_into(&incoming, forms, streams, &mut out[edges.clone()])
+                .map_err(|(port, error)| (edges.start + port, error))?;
         }
         Ok(())
     }

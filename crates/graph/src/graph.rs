@@ -165,7 +165,7 @@ impl<M: Message, F: Factor<M>> FactorGraph<M, F> {
                 EdgeId(first_edge + port as u32),
             );
             self.edge_variable.push(variable.0);
-            self.edge_form.push(M::Form::default());
+            self.edge_form.push(M::default_form(self.space(*variable)));
         }
         self.factors.push(factor);
         self.factor_nodes.push(FactorNode { name, first_edge, node });

@@ -30,7 +30,7 @@ mod window;
 pub use checkpoint::Checkpoint;
 pub use engine::{Engine, Options, Outgoing};
 pub use error::{GraphError, MessageError};
-pub use factor::{Factor, Incoming, Port};
+pub use factor::{Factor, Group, Incoming, Port};
 pub use graph::{EdgeId, FactorGraph, FactorId, VariableId};
 pub use message::{Message, Messages, ProductOutcome, Quality};
 pub use report::{Qualities, Report, Stop};

@@ -125,6 +125,10 @@ pub trait Message: Clone + Send + Sync + 'static {
     /// copy of the messages as they stood, to multiply those that it cannot divide.
     const ALWAYS_DIVIDES: bool = false;
 
+    /// The most messages whose inputs a pass over the whole graph prepares before it asks their factors
+    /// ([`crate::Factor::many_messages_into`]). Families of one number gain from many; one holds the fewest in memory.
+    const GROUP: usize = 1;
+
     /// The message that says nothing about a variable of this space: the identity of the product.
     fn vacuous(space: &Space) -> Self;
 
@@ -204,6 +208,11 @@ pub trait Message: Clone + Send + Sync + 'static {
     /// The reason, as the end of a sentence.
     fn check_form(_form: &Self::Form, _space: &Space) -> Result<(), String> {
         Ok(())
+    }
+
+    /// The form of edges to variables of this space, unless the user chose one.
+    fn default_form(_space: &Space) -> Self::Form {
+        Self::Form::default()
     }
 
     /// The form of a belief whose edges have these forms, unless the user chose one: the richest among them.

@@ -130,6 +130,16 @@ impl Topology {
         })
     }
 
+    /// Where the edges of consecutive factors begin, and where the last one's end.
+    pub(crate) fn raw_bounds(&self, factors: Range<usize>) -> &[u32] {
+        &self.factor_edges[factors.start..=factors.end]
+    }
+
+    /// The variables at consecutive edges.
+    pub(crate) fn raw_variables(&self, edges: Range<usize>) -> &[u32] {
+        &self.edge_variable[edges]
+    }
+
     pub(crate) fn first_edge(&self, factor: usize) -> usize {
         self.factor_edges[factor] as usize
     }

@@ -5,10 +5,12 @@
 //! - a **Gaussian** belief reads particles by their moments, and reports what that cost;
 //! - a **particle** belief keeps its points and weighs them by each Gaussian or mixture, which costs nothing; where
 //!   there are no points yet it draws them from the product of those;
-//! - a **mixture** belief reads Gaussians as they are, and a sample by kernels, and reports what that cost.
+//! - a **mixture** belief reads Gaussians as they are, and a sample by kernels, and reports what that cost;
+//! - a **categorical** belief, of a variable of finitely many states, reads no other kind.
 //!
 //! A family says in one place how the others read it (`Held`), and the enums below list it.
 
+mod categorical;
 mod convert;
 mod family;
 mod held;
@@ -17,6 +19,7 @@ mod product;
 
 pub use family::ParticleFamily;
 
+use crate::categorical::{Categorical, CategoricalForm};
 use crate::mixture::{MixtureForm, MixtureMessage};
 use crate::{DynamicGaussian, GaussianForm, Moments, Particles, ParticlesForm};
 use convert::no_distribution;
@@ -36,6 +39,8 @@ pub enum AnyForm {
     Particles(ParticlesForm),
     /// A mixture of Gaussians.
     Mixture(MixtureForm),
+    /// Values of finitely many states.
+    Categorical(CategoricalForm),
 }
 
 impl Default for AnyForm {
@@ -60,18 +65,26 @@ impl AnyForm {
         Self::Mixture(MixtureForm::new(components))
     }
 
+    /// Values of finitely many states, summed over at this temperature.
+    pub fn categorical(temperature: f64) -> Self {
+        Self::Categorical(CategoricalForm { temperature })
+    }
+
     /// The name of the family.
     pub fn name(&self) -> &'static str {
         match self {
             Self::Gaussian(_) => "gaussian",
             Self::Particles(_) => "particles",
             Self::Mixture(_) => "mixture",
+            Self::Categorical(_) => "categorical",
         }
     }
 
     fn richness(&self) -> usize {
         match self {
             Self::Gaussian(_) => 0,
+            // Edges of such a variable have no other form.
+            Self::Categorical(_) => 1,
             Self::Particles(form) => form.count,
             Self::Mixture(form) => form.components,
         }
@@ -87,6 +100,8 @@ pub enum AnyValue {
     Particles(Particles),
     /// A mixture of Gaussians.
     Mixture(MixtureMessage),
+    /// Values of finitely many states.
+    Categorical(Categorical),
 }
 
 impl AnyValue {
@@ -95,6 +110,7 @@ impl AnyValue {
             Self::Gaussian(gaussian) => gaussian,
             Self::Particles(particles) => particles,
             Self::Mixture(mixture) => mixture,
+            Self::Categorical(states) => states,
         }
     }
 }
@@ -105,6 +121,7 @@ impl Clone for AnyValue {
             Self::Gaussian(gaussian) => Self::Gaussian(gaussian.clone()),
             Self::Particles(particles) => Self::Particles(particles.clone()),
             Self::Mixture(mixture) => Self::Mixture(mixture.clone()),
+            Self::Categorical(states) => Self::Categorical(states.clone()),
         }
     }
 
@@ -112,6 +129,7 @@ impl Clone for AnyValue {
         match (self, source) {
             (Self::Gaussian(own), Self::Gaussian(other)) => own.clone_from(other),
             (Self::Particles(own), Self::Particles(other)) => own.clone_from(other),
+            (Self::Categorical(own), Self::Categorical(other)) => own.clone_from(other),
             (own, other) => *own = other.clone(),
         }
     }
@@ -174,6 +192,11 @@ impl AnyMessage {
         Self { value: AnyValue::Mixture(mixture), coordinates, loss: None }
     }
 
+    /// A message over finitely many states.
+    pub fn from_categorical(states: Categorical) -> Self {
+        Self { value: AnyValue::Categorical(states), coordinates: Arc::from([]), loss: None }
+    }
+
     /// The message in its family.
     pub fn value(&self) -> &AnyValue {
         &self.value
@@ -195,17 +218,26 @@ impl AnyMessage {
         }
     }
 
+    /// The values of all states, where it is held by them.
+    pub fn categorical(&self) -> Option<&Categorical> {
+        match &self.value {
+            AnyValue::Categorical(states) => Some(states),
+            _ => None,
+        }
+    }
+
     /// Mean and covariance.
     ///
     /// # Errors
     ///
-    /// Where the message has none: improper, vacuous, or a likelihood.
+    /// Where the message has none: improper, vacuous, a likelihood, or over states.
     pub fn moments(&self) -> Result<Moments, MessageError> {
         match &self.value {
             AnyValue::Gaussian(gaussian) => gaussian.moments(),
             AnyValue::Particles(particles) if particles.is_proper() => Ok(particles.moments()),
             AnyValue::Particles(_) => Err(no_distribution()),
             AnyValue::Mixture(mixture) => mixture.moments(),
+            AnyValue::Categorical(_) => self.value.held().to_gaussian()?.0.moments(),
         }
     }
 
@@ -251,7 +283,10 @@ impl Message for AnyMessage {
     type Form = AnyForm;
 
     fn vacuous(space: &Space) -> Self {
-        let value = AnyValue::Gaussian(DynamicGaussian::flat(space.dimension()));
+        let value = match space {
+            Space::Finite(_) => AnyValue::Categorical(Categorical::vacuous(space)),
+            _ => AnyValue::Gaussian(DynamicGaussian::flat(space.dimension())),
+        };
         Self { value, coordinates: coordinates_of(space), loss: None }
     }
 
@@ -279,6 +314,7 @@ impl Message for AnyMessage {
             AnyForm::Gaussian(_) => gaussian_product(incoming, out),
             AnyForm::Particles(form) => particle_product(incoming, form, stream, out),
             AnyForm::Mixture(form) => mixture::product(incoming, form, stream, out),
+            AnyForm::Categorical(form) => categorical::product(incoming, form, stream, out),
         }
     }
 
@@ -318,6 +354,13 @@ impl Message for AnyMessage {
                 let quotient = read.ok().and_then(|(message, _)| belief.quotient(&message));
                 quotient.map(|quotient| out.value = AnyValue::Mixture(quotient)).is_some()
             }
+            (AnyValue::Categorical(belief), AnyValue::Categorical(message)) => {
+                if let AnyValue::Categorical(own) = &mut out.value {
+                    return belief.quotient_into(message, own);
+                }
+                let quotient = belief.quotient(message);
+                quotient.map(|quotient| out.value = AnyValue::Categorical(quotient)).is_some()
+            }
             (own, message) => {
                 out.value.clone_from(own);
                 message.held().is_vacuous()
@@ -330,6 +373,7 @@ impl Message for AnyMessage {
             (AnyValue::Gaussian(new), AnyValue::Gaussian(old)) => new.change(old),
             (AnyValue::Particles(new), AnyValue::Particles(old)) => new.change(old),
             (AnyValue::Mixture(new), AnyValue::Mixture(old)) => new.change(old),
+            (AnyValue::Categorical(new), AnyValue::Categorical(old)) => new.change(old),
             _ => 1.0,
         }
     }
@@ -339,6 +383,7 @@ impl Message for AnyMessage {
             (AnyValue::Gaussian(new), AnyValue::Gaussian(old)) => new.damp(old, damping),
             (AnyValue::Particles(new), AnyValue::Particles(old)) => new.damp(old, damping),
             (AnyValue::Mixture(new), AnyValue::Mixture(old)) => new.damp(old, damping),
+            (AnyValue::Categorical(new), AnyValue::Categorical(old)) => new.damp(old, damping),
             (_, old) => old.held().is_vacuous(),
         }
     }
@@ -348,6 +393,14 @@ impl Message for AnyMessage {
             AnyForm::Gaussian(form) => DynamicGaussian::check_form(form, space),
             AnyForm::Particles(form) => Particles::check_form(form, space),
             AnyForm::Mixture(form) => MixtureMessage::check_form(form, space),
+            AnyForm::Categorical(form) => Categorical::check_form(form, space),
+        }
+    }
+
+    fn default_form(space: &Space) -> AnyForm {
+        match space {
+            Space::Finite(_) => AnyForm::Categorical(CategoricalForm::default()),
+            _ => AnyForm::default(),
         }
     }
 

@@ -7,12 +7,15 @@
 //! | [`Particles`] | points with log weights | on one support, else by kernels | on one support |
 //! | [`MixtureMessage`] | a [`Mixture`] of Gaussians, or a [`Potential`] that leaves directions open | by a [`ProductMethod`] | by one Gaussian |
 //! | [`LatticeMessage`] | values on cells of the plane, or a Gaussian, by the form of each edge | on the belief's cells | where both can |
+//! | [`Categorical`] | values of finitely many states, in the log domain | addition | where no state is ruled out |
+//! | [`LogOdds`] | two states as one number | addition | subtraction |
 //! | [`AnyMessage`] | any of these, by the form of each edge | in the form of the belief | where both can |
 //!
 //! Adding a family to the mix touches its own file and [`AnyMessage`] alone.
 
 mod any;
 mod cumulants;
+mod categorical;
 mod dense;
 mod dynamic;
 mod gaussian;
@@ -24,6 +27,7 @@ mod particles;
 pub mod vector;
 
 pub use any::{AnyForm, AnyMessage, AnyValue, ParticleFamily};
+pub use categorical::{Categorical, CategoricalFamily, CategoricalForm, LogOdds};
 pub use dense::Cholesky;
 pub use dynamic::DynamicGaussian;
 pub use gaussian::{Gaussian, GaussianFamily, GaussianForm, Linearisation};

@@ -10,6 +10,8 @@
 //! | mixture | every component made linear by itself, within windows where no line serves; rings of kernels | every component by itself, both ways |
 //! | any | by the form of the edge | by the form of the edge |
 //!
+//! Functions of variables of finitely many states are in [`discrete`].
+//!
 //! What a particle filter and the particle rules have in common, many particles at a time, is in [`cloud`].
 //!
 //! [`AddModel`] puts them into a graph; [`check_residual`] holds a residual against finite differences.
@@ -19,6 +21,7 @@ mod blocks;
 mod check;
 pub mod cloud;
 mod cluster;
+pub mod discrete;
 mod dual;
 mod expansion;
 mod lattice;

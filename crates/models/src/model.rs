@@ -201,6 +201,10 @@ impl<T: Rules> Factor<AnyMessage> for Model<T> {
                 out.write_mixture(incoming.belief(to), message, loss);
                 Ok(())
             }
+            AnyForm::Categorical(_) => {
+                let reason = "a residual has no message over finitely many states; use a table";
+                Err(MessageError::Unsupported(reason.into()))
+            }
         }
     }
 

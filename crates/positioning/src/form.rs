@@ -65,7 +65,7 @@ impl FormSpec {
     /// [`PositioningError::Setting`] for no particles or senders, no component or sample.
     pub fn validate(&self, key: &str) -> Result<(), PositioningError> {
         match &self.0 {
-            AnyForm::Gaussian(_) => Ok(()),
+            AnyForm::Gaussian(_) | AnyForm::Categorical(_) => Ok(()),
             AnyForm::Particles(form) => {
                 at_least_one(&format!("{key}.particles"), form.count, "particle")?;
                 form.senders
@@ -134,6 +134,7 @@ impl fmt::Display for FormSpec {
                     other => write!(f, " ({})", other.method().name()),
                 }
             }
+            AnyForm::Categorical(_) => f.write_str("categorical"),
         }
     }
 }
@@ -170,6 +171,11 @@ impl Serialize for FormSpec {
                 map.serialize_entry("product", &form.product)?;
                 map.serialize_entry("bandwidth", &form.bandwidth)?;
                 map.serialize_entry("samples", &form.samples)?;
+                map.end()
+            }
+            AnyForm::Categorical(form) => {
+                let mut map = serializer.serialize_map(Some(1))?;
+                map.serialize_entry("categorical", &form.temperature)?;
                 map.end()
             }
         }

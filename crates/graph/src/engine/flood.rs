@@ -15,7 +15,7 @@ use super::forms::Forms;
 use super::pass::{damp, extrinsic, product_error, replace_guess, rule_error};
 use super::{Engine, Options, PARALLEL_EDGES, Scratch, State};
 use crate::{
-    Factor, FactorGraph, FactorId, GraphError, Incoming, Message, MessageError, MessageStreams, Messages,
+    Factor, FactorGraph, FactorId, GraphError, Group, Incoming, Message, MessageError, MessageStreams, Messages,
     Outgoing, Port, Purpose, Stream, Topology,
 };
 use std::ops::Range;
@@ -228,8 +228,11 @@ fn send<M: Message, F: Factor<M>>(
     offset: usize,
     any_guess: bool,
 ) -> Result<(), GraphError> {
+    if M::GROUP > 1 {
+        return send_in_groups(shared, beliefs, factors, scratch, messages, offset, any_guess);
+    }
     let Shared { graph, topology, options, state, .. } = *shared;
-    let Scratch { inputs, output } = scratch;
+    let Scratch { inputs, output, .. } = scratch;
     let broadcast = options.outgoing == Outgoing::Broadcast;
     let mut first = topology.first_edge(factors.start);
     let mut rest = (&mut messages[first - offset..], &shared.forms.edges[first..]);
@@ -261,6 +264,76 @@ fn send<M: Message, F: Factor<M>>(
         };
         if let Err((port, source)) = outcome {
             return Err(failed(shared, factor, edges.start + port, source));
+        }
+    }
+    Ok(())
+}
+
+/// As [`send`], of families that want the inputs of many factors at once.
+fn send_in_groups<M: Message, F: Factor<M>>(
+    shared: &Shared<'_, M, F>,
+    beliefs: &[M],
+    factors: Range<usize>,
+    scratch: &mut Scratch<M>,
+    messages: &mut [M],
+    offset: usize,
+    any_guess: bool,
+) -> Result<(), GraphError> {
+    let Shared { graph, topology, options, state, forms, .. } = *shared;
+    let Options { seed, damping, outgoing, .. } = *options;
+    let iteration = state.iteration;
+    let mut from = factors.start;
+    while from < factors.end {
+        let bounds = topology.raw_bounds(from..factors.end);
+        let first = bounds[0] as usize;
+        let fitting = bounds.partition_point(|&end| end as usize - first <= M::GROUP) - 1;
+        let members = from..from + fitting.max(1);
+        from = members.end;
+        let bounds = &bounds[..=members.len()];
+        let edges = first..bounds[members.len()] as usize;
+        let variables = topology.raw_variables(edges.clone());
+        let own = &mut messages[edges.start - offset..edges.end - offset];
+        let Scratch { inputs, output, group } = scratch;
+        if group.len() < edges.len() {
+            group.resize(edges.len(), output.clone());
+        }
+        if inputs.len() < edges.len() {
+            inputs.resize(edges.len(), output.clone());
+        }
+        let inputs = &mut inputs[..edges.len()];
+        let broadcast = outgoing == Outgoing::Broadcast;
+        let mut divided = !any_guess;
+        for ((input, message), &variable) in inputs.iter_mut().zip(&*own).zip(variables) {
+            if broadcast {
+                input.clone_from(&beliefs[variable as usize]);
+            } else {
+                divided &= beliefs[variable as usize].quotient_into(message, input);
+            }
+        }
+        if !broadcast && !divided {
+            for (place, (input, &variable)) in inputs.iter_mut().zip(variables).enumerate() {
+                if any_guess || !beliefs[variable as usize].quotient_into(&own[place], input) {
+                    without(shared, variable as usize, edges.start + place, input)?;
+                }
+            }
+        }
+        let forms = &forms.edges[edges.clone()];
+        let seen = Group { inputs, beliefs, variables, bounds, forms, seed, iteration };
+        let rules = &graph.factors[members.clone()];
+        let new = if damping > 0.0 { &mut group[..edges.len()] } else { &mut *own };
+        if let Err((place, source)) = F::many_messages_into(rules, &seen, new) {
+            let edge = edges.start + place;
+            return Err(failed(shared, topology.factor_of(crate::EdgeId(edge as u32)).index(), edge, source));
+        }
+        if damping > 0.0 {
+            for ((new, old), &sent) in group.iter_mut().zip(own).zip(&state.sent[edges.clone()]) {
+                if sent {
+                    damp(new, old, damping).map_err(|source| {
+                        failed(shared, members.start, edges.start, source)
+                    })?;
+                }
+                old.clone_from(new);
+            }
         }
     }
     Ok(())

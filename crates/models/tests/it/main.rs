@@ -6,6 +6,7 @@ mod angles;
 mod chains;
 mod clusters;
 mod derivatives;
+mod discrete;
 mod golden;
 mod guided;
 mod heavy;

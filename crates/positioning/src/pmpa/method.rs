@@ -197,7 +197,7 @@ impl MethodSettings {
         match self.prediction_form() {
             AnyForm::Particles(form) => form.count,
             AnyForm::Mixture(form) => form.components,
-            AnyForm::Gaussian(_) => 1,
+            AnyForm::Gaussian(_) | AnyForm::Categorical(_) => 1,
         }
     }
 

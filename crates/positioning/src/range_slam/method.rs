@@ -57,9 +57,11 @@ impl Method {
         self.form.range.validate(&key)?;
         match self.form.range.0 {
             AnyForm::Gaussian(_) | AnyForm::Mixture(_) => Ok(()),
-            AnyForm::Particles(_) => {
-                let problem =
-                    "is particles; the ranges to a landmark are held as { mixture = 100 } or \"gaussian\"";
+            AnyForm::Particles(_) | AnyForm::Categorical(_) => {
+                let range = self.form.range;
+                let problem = format!(
+                    "is {range}; the ranges to a landmark are held as {{ mixture = 100 }} or \"gaussian\""
+                );
                 Err(PositioningError::setting(key, problem))
             }
         }
