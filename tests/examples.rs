@@ -7,8 +7,14 @@ mod encoder_calibration;
 mod equal_evaluations;
 #[path = "../examples/filters.rs"]
 mod filters;
+#[path = "../examples/hidden_markov.rs"]
+mod hidden_markov;
+#[path = "../examples/ising_denoising.rs"]
+mod ising_denoising;
 #[path = "../examples/kcpf.rs"]
 mod kcpf;
+#[path = "../examples/ldpc.rs"]
+mod ldpc;
 #[path = "../examples/linear_chain.rs"]
 mod linear_chain;
 #[path = "../examples/own_factor.rs"]
@@ -25,6 +31,8 @@ mod p_mpa;
 mod pose_graph;
 #[path = "../examples/swap_forms.rs"]
 mod swap_forms;
+#[path = "../examples/switching.rs"]
+mod switching;
 
 macro_rules! run {
     ($($example:ident),*) => {$(
@@ -40,7 +48,10 @@ mod of {
     run!(
         encoder_calibration,
         filters,
+        hidden_markov,
+        ising_denoising,
         kcpf,
+        ldpc,
         linear_chain,
         own_factor,
         own_message,
@@ -48,7 +59,8 @@ mod of {
         own_schedule,
         p_mpa,
         pose_graph,
-        swap_forms
+        swap_forms,
+        switching
     );
 
     #[test]

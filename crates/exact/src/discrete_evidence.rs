@@ -1,10 +1,10 @@
-//! The Bethe free energy of messages over finitely many states.
+//! What messages over finitely many states say of the whole graph: evidence, and beliefs of factors.
 
 use crate::ExactError;
 use crate::logs::log_sum;
-use sumprod_graph::{Engine, Factor, FactorGraph};
+use sumprod_graph::{EdgeId, Engine, Factor, FactorId, VariableId};
 use sumprod_messages::CategoricalFamily;
-use sumprod_models::discrete::LocalEvidence;
+use sumprod_models::discrete::{LocalEvidence, Tabulation};
 
 /// The log evidence that belief propagation holds at its messages,
 ///
@@ -19,51 +19,75 @@ use sumprod_models::discrete::LocalEvidence;
 pub fn discrete_log_evidence<M: CategoricalFamily, F: Factor<M>>(
     engine: &Engine<'_, M, F>,
 ) -> Result<f64, ExactError> {
-    let graph: &FactorGraph<M, F> = engine.graph();
-    let topology = engine.topology();
+    let (graph, topology) = (engine.graph(), engine.topology());
     let mut total = 0.0;
-    // What each variable sends along each edge.
-    let mut sent: Vec<Vec<f64>> = vec![Vec::new(); graph.edge_count()];
     for variable in graph.variable_ids() {
-        let states = graph.space(variable).dimension();
-        let mut own = vec![0.0; states];
-        let mut belief = vec![0.0; states];
-        if let Some(prior) = graph.prior(variable) {
-            prior.read_logs(&mut belief);
-        }
-        let prior = belief.clone();
-        for edge in topology.edges_of_variable(variable) {
-            engine.message(edge).read_logs(&mut own);
-            belief.iter_mut().zip(&own).for_each(|(belief, log)| *belief += log);
-        }
-        let mut degree = 0.0;
-        for edge in topology.edges_of_variable(variable) {
-            degree += 1.0;
-            engine.message(edge).read_logs(&mut own);
-            let others: Vec<f64> = if own.iter().all(|log| log.is_finite()) {
-                belief.iter().zip(&own).map(|(belief, log)| belief - log).collect()
-            } else {
-                // What is ruled out cannot be taken away again.
-                let mut others = prior.clone();
-                for other in topology.edges_of_variable(variable).filter(|&other| other != edge) {
-                    engine.message(other).read_logs(&mut own);
-                    others.iter_mut().zip(&own).for_each(|(others, log)| *others += log);
-                }
-                others
-            };
-            sent[edge.index()] = others;
-        }
-        total += (1.0 - degree) * log_sum(&belief);
+        let degree = topology.edges_of_variable(variable).count() as f64;
+        total += (1.0 - degree) * log_sum(&sent(engine, variable, None));
     }
     for factor in graph.factor_ids() {
-        let mut question = LocalEvidence::default();
-        for edge in topology.edges_of_factor(factor) {
-            question.logs.extend_from_slice(&sent[edge.index()]);
-        }
+        let mut question = LocalEvidence { logs: inputs(engine, factor), log_sum: 0.0 };
         if !graph.rules(factor).answer(&mut question) {
             return Err(ExactError::NoTable { factor: graph.factor_name(factor) });
         }
         total += question.log_sum;
     }
     Ok(total)
+}
+
+/// The belief of a factor, f Π m_{v→f}, as the probabilities of the joint states of its variables, the last port's state
+/// running fastest.
+///
+/// # Errors
+///
+/// Where the factor is no function of finitely many states, or has more than 2²⁶ joint states.
+pub fn factor_probabilities<M: CategoricalFamily, F: Factor<M>>(
+    engine: &Engine<'_, M, F>,
+    factor: FactorId,
+) -> Result<Vec<f64>, ExactError> {
+    let graph = engine.graph();
+    let mut question = Tabulation::new(1 << 26);
+    graph.rules(factor).answer(&mut question);
+    let Some(table) = question.table else {
+        return Err(ExactError::NoTable { factor: graph.factor_name(factor) });
+    };
+    let mut logs = table.logs().to_vec();
+    let inputs = inputs(engine, factor);
+    let (mut begin, mut block) = (0, logs.len());
+    for &states in table.cardinalities() {
+        block /= states;
+        for (place, run) in logs.chunks_exact_mut(block.max(1)).enumerate() {
+            let input = inputs[begin + place % states];
+            run.iter_mut().for_each(|log| *log += input);
+        }
+        begin += states;
+    }
+    let total = log_sum(&logs);
+    Ok(logs.iter().map(|log| (log - total).exp()).collect())
+}
+
+/// The logarithms of what all variables of a factor send it, port by port.
+fn inputs<M: CategoricalFamily, F: Factor<M>>(engine: &Engine<'_, M, F>, factor: FactorId) -> Vec<f64> {
+    let topology = engine.topology();
+    let edges = topology.edges_of_factor(factor);
+    edges.flat_map(|edge| sent(engine, topology.variable_of(edge), Some(edge))).collect()
+}
+
+/// The logarithms of the product of a variable's prior and messages, without the one along an edge.
+fn sent<M: CategoricalFamily, F: Factor<M>>(
+    engine: &Engine<'_, M, F>,
+    variable: VariableId,
+    without: Option<EdgeId>,
+) -> Vec<f64> {
+    let graph = engine.graph();
+    let states = graph.space(variable).dimension();
+    let (mut sum, mut own) = (vec![0.0; states], vec![0.0; states]);
+    if let Some(prior) = graph.prior(variable) {
+        prior.read_logs(&mut sum);
+    }
+    for edge in engine.topology().edges_of_variable(variable).filter(|&edge| Some(edge) != without) {
+        engine.message(edge).read_logs(&mut own);
+        sum.iter_mut().zip(&own).for_each(|(sum, log)| *sum += log);
+    }
+    sum
 }

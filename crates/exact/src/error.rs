@@ -43,6 +43,42 @@ pub enum ExactError {
         /// Its number of states.
         states: usize,
     },
+    /// A continuous variable where states are needed.
+    #[error("variable {variable:?} is continuous; a junction tree needs variables of finitely many states")]
+    Continuous {
+        /// The variable.
+        variable: String,
+    },
+    /// A factor that is no function of finitely many states.
+    #[error(
+        "factor {factor:?} has no table of values; a junction tree needs factors over finitely many states"
+    )]
+    NoTable {
+        /// The factor.
+        factor: String,
+    },
+    /// Cliques that are too large.
+    #[error(
+        "the graph is too wide for a junction tree: with the clique of {} ({} variables) its tables have {entries:.3e} \
+         entries or more, and {most} are allowed; allow more, or use message passing", few(variables), variables.len()
+    )]
+    TooWide {
+        /// The variables of the clique with which the tree grew too large.
+        variables: Vec<String>,
+        /// Entries of all cliques so far.
+        entries: f64,
+        /// The most that are allowed.
+        most: usize,
+    },
+    /// A graph whose factors contradict.
+    #[error(
+        "no joint state is possible: the factors around {} rule each other out; look for zeros in their tables",
+        few(variables)
+    )]
+    Impossible {
+        /// Variables of the clique at which nothing was left.
+        variables: Vec<String>,
+    },
     /// A number that must be finite is not.
     #[error("{what} is {value}; {remedy}")]
     NotFinite {
@@ -107,6 +143,13 @@ impl ExactError {
     pub(crate) fn file(path: &Path, line: Option<usize>, problem: impl Into<String>) -> Self {
         Self::File { path: path.to_path_buf(), line, problem: problem.into() }
     }
+}
+
+/// Names for a sentence, the first few of many.
+fn few(names: &[String]) -> String {
+    const SHOWN: usize = 6;
+    let shown = names.iter().take(SHOWN).map(String::as_str).collect::<Vec<_>>().join(", ");
+    if names.len() > SHOWN { format!("{shown}, …") } else { shown }
 }
 
 fn place(path: &Path, line: Option<usize>) -> String {

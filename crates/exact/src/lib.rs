@@ -5,6 +5,8 @@
 //! variables ([`Solution::marginals`] of all, [`Solution::joint`] of a few together) and the evidence
 //! ([`Solution::log_evidence`]). [`observability`] says why a graph cannot be solved.
 //!
+//! A [`JunctionTree`] does the same for variables of finitely many states: marginals, evidence, and the most probable state.
+//!
 //! ```
 //! use sumprod_exact::{Problem, SolveOptions};
 //! use sumprod_graph::{FactorGraph, Space};
@@ -32,9 +34,12 @@ mod cholesky;
 mod chordal;
 mod compare;
 mod components;
+mod discrete_evidence;
 mod error;
+mod junction;
 mod kernel;
 mod linear_graph;
+mod logs;
 mod normal;
 pub mod observability;
 mod problem;
@@ -50,7 +55,9 @@ pub use belief::{BeliefOptions, Beliefs};
 pub use bethe::bethe_log_evidence;
 pub use chordal::chordal_start;
 pub use compare::{Comparison, ComparisonRow, compare};
+pub use discrete_evidence::{discrete_log_evidence, factor_probabilities};
 pub use error::ExactError;
+pub use junction::{JunctionAnswer, JunctionOptions, JunctionTree, MostProbable};
 pub use kernel::Kernel;
 pub use problem::Problem;
 pub use solution::{Marginals, Solution};

@@ -112,7 +112,10 @@ impl Categorical {
     /// Where one is negative or not finite, or all are zero.
     pub fn from_probabilities(probabilities: &[f64]) -> Result<Self, MessageError> {
         if let Some(&value) = probabilities.iter().find(|p| !(**p >= 0.0 && p.is_finite())) {
-            return Err(MessageError::NotFinite { what: "the logarithm of a probability", value: value.ln() });
+            return Err(MessageError::NotFinite {
+                what: "the logarithm of a probability",
+                value: value.ln(),
+            });
         }
         let logs: SmallVec<[f64; 4]> = probabilities.iter().map(|p| p.ln()).collect();
         Self::new(&logs)

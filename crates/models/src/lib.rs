@@ -36,6 +36,7 @@ pub mod pose;
 mod residual;
 mod rules;
 mod small;
+mod switch;
 
 pub use add::AddModel;
 pub use blocks::Blocks;
@@ -50,3 +51,4 @@ pub use motion::{Motion, ProcessNoise, Transition};
 pub use noise::{Noise, NoiseError};
 pub use residual::{Chart, Linearised, PortSampler, Residual, ResidualModel, Ring, RingCentre};
 pub use rules::Rules;
+pub use switch::Switch;

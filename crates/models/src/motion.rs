@@ -227,7 +227,7 @@ impl<T: Motion> Transition<T> {
     }
 
     /// The next state f(x) and the Jacobian F at `x`.
-    fn linearise(&self, x: &[f64]) -> (Vector, Matrix) {
+    pub(crate) fn linearise(&self, x: &[f64]) -> (Vector, Matrix) {
         let d = x.len();
         let (mut next, mut jacobian) = (zero_vector(d), zeros(d * d));
         linearise_motion(&self.motion, x, &mut next, &mut jacobian);
@@ -236,7 +236,7 @@ impl<T: Motion> Transition<T> {
 
     /// The mean f(x̄) + F (m - x̄) and the covariance F P F' + B B' of the next state, for a state of mean m and
     /// covariance P.
-    fn ahead(&self, at: &[f64], mean: &[f64], covariance: &[f64]) -> (Vector, Matrix) {
+    pub(crate) fn ahead(&self, at: &[f64], mean: &[f64], covariance: &[f64]) -> (Vector, Matrix) {
         let d = at.len();
         let (mut ahead, jacobian) = self.linearise(at);
         let (mut cross, mut predicted) = (zeros(d * d), zeros(d * d));

@@ -20,6 +20,7 @@ chapters! {
     Filters: "../../../docs/src/filters.md",
     Exact: "../../../docs/src/exact.md",
     Observability: "../../../docs/src/observability.md",
+    Discrete: "../../../docs/src/discrete.md",
     Reproducibility: "../../../docs/src/reproducibility.md",
     Diagnostics: "../../../docs/src/diagnostics.md",
     Extending: "../../../docs/src/extending.md",

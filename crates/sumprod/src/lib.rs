@@ -46,9 +46,11 @@ pub mod prelude {
         Space, Stop, Stream, Topology, VariableId, Window, WindowVariable,
     };
     pub use sumprod_messages::{
-        AnyForm, AnyMessage, DynamicGaussian, Gaussian, GaussianForm, Linearisation, Mixture, MixtureForm,
-        MixtureMessage, Moments, Particles, ParticlesForm, ProductChoice, Proposal,
+        AnyForm, AnyMessage, Categorical, CategoricalForm, DynamicGaussian, Gaussian, GaussianForm,
+        Linearisation, LogOdds, Mixture, MixtureForm, MixtureMessage, Moments, Particles, ParticlesForm,
+        ProductChoice, Proposal,
     };
+    pub use sumprod_models::discrete::{Logical, PairOdds, Table};
     pub use sumprod_models::library::*;
     pub use sumprod_models::{
         AddModel, Block, Cluster, Model, Motion, Noise, ProcessNoise, Real, Residual, Transition,

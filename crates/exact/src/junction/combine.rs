@@ -55,20 +55,30 @@ pub(super) fn combine<'a>(
     let entries = variables.iter().map(|&variable| states[variable]).product();
     out.clear();
     out.resize(entries, 0.0);
-    let Some(&last) = variables.last() else { return };
     for part in parts {
-        let mut walk = Walk::new(states, variables, part.variables);
-        let along = walk.strides[variables.len() - 1];
-        for row in out.chunks_exact_mut(states[last].max(1)) {
-            if along == 0 {
-                let log = part.logs[walk.place];
-                row.iter_mut().for_each(|entry| *entry += log);
-            } else {
-                let own = part.logs[walk.place..].iter().step_by(along);
-                row.iter_mut().zip(own).for_each(|(entry, log)| *entry += log);
-            }
-            walk.next_row();
+        multiply(states, variables, &part, 1.0, out);
+    }
+}
+
+/// Takes a factor that is nowhere zero out of a product.
+pub(super) fn divide(states: &[usize], variables: &[usize], part: &Part<'_>, product: &mut [f64]) {
+    multiply(states, variables, part, -1.0, product);
+}
+
+/// The product with a power of a function.
+fn multiply(states: &[usize], variables: &[usize], part: &Part<'_>, power: f64, product: &mut [f64]) {
+    let Some(&last) = variables.last() else { return };
+    let mut walk = Walk::new(states, variables, part.variables);
+    let along = walk.strides[variables.len() - 1];
+    for row in product.chunks_exact_mut(states[last].max(1)) {
+        if along == 0 {
+            let log = power * part.logs[walk.place];
+            row.iter_mut().for_each(|entry| *entry += log);
+        } else {
+            let own = part.logs[walk.place..].iter().step_by(along);
+            row.iter_mut().zip(own).for_each(|(entry, log)| *entry += power * log);
         }
+        walk.next_row();
     }
 }
 
@@ -77,7 +87,7 @@ pub(super) fn project(states: &[usize], variables: &[usize], logs: &[f64], onto:
     let entries = onto.iter().map(|&variable| states[variable]).product();
     let Some(&last) = variables.last() else { return vec![0.0; entries] };
     let mut largest = vec![f64::NEG_INFINITY; entries];
-    let mut visit = |take: &mut dyn FnMut(usize, f64)| {
+    let visit = |take: &mut dyn FnMut(usize, f64)| {
         let mut walk = Walk::new(states, variables, onto);
         let along = walk.strides[variables.len() - 1];
         for row in logs.chunks_exact(states[last].max(1)) {
@@ -94,5 +104,8 @@ pub(super) fn project(states: &[usize], variables: &[usize], logs: &[f64], onto:
             sums[place] += (log - largest[place]).exp();
         }
     });
-    sums.iter().zip(&largest).map(|(sum, largest)| if *sum > 0.0 { largest + sum.ln() } else { *largest }).collect()
+    sums.iter()
+        .zip(&largest)
+        .map(|(sum, largest)| if *sum > 0.0 { largest + sum.ln() } else { *largest })
+        .collect()
 }

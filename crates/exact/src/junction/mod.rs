@@ -77,14 +77,10 @@ pub struct JunctionTree {
     states: Vec<usize>,
     names: Vec<String>,
     potentials: Vec<Potential>,
-    /// The clique of each potential.
-    home: Vec<usize>,
     /// In the order of elimination: children before parents.
     cliques: Vec<Clique>,
-    /// The clique of each variable: its place in the order.
-    place: Vec<usize>,
-    /// Which potential each factor is.
-    of_factor: Vec<usize>,
+    /// The first potentials are the factors'.
+    factors: usize,
     entries: usize,
 }
 
@@ -130,14 +126,17 @@ impl JunctionTree {
         for factor in graph.factor_ids() {
             let table = tabulate(graph, factor, options)?;
             let variables: Vec<usize> = graph.ports(factor).map(VariableId::index).collect();
-            if let Some(twice) = (1..variables.len()).find(|&port| variables[..port].contains(&variables[port])) {
+            if let Some(twice) =
+                (1..variables.len()).find(|&port| variables[..port].contains(&variables[port]))
+            {
                 let (factor, variable) = (graph.factor_name(factor), &names[variables[twice]]);
-                let problem = format!("factor {factor:?} has variable {variable:?} at two ports; join it once");
+                let problem =
+                    format!("factor {factor:?} has variable {variable:?} at two ports; join it once");
                 return Err(ExactError::Request(problem));
             }
             potentials.push(Potential { variables, values: Values::Table(Arc::new(table)) });
         }
-        let of_factor = (0..potentials.len()).collect();
+        let factors = potentials.len();
         for variable in graph.variable_ids() {
             if let Some(prior) = graph.prior(variable) {
                 let mut logs = vec![0.0; states[variable.index()]];
@@ -169,17 +168,17 @@ impl JunctionTree {
                 cliques[parent].children.push(at);
             }
         }
-        let mut home = Vec::with_capacity(potentials.len());
         for (number, potential) in potentials.iter().enumerate() {
             // A factor of variables of one state each lies in no clique of several.
-            let first = potential.variables.iter().map(|&v| place[v]).filter(|&at| {
-                states[cliques[at].variables[cliques[at].variables.len() - 1]] > 1
-            });
+            let first = potential
+                .variables
+                .iter()
+                .map(|&v| place[v])
+                .filter(|&at| states[cliques[at].variables[cliques[at].variables.len() - 1]] > 1);
             let at = first.min().unwrap_or_else(|| potential.variables.first().map_or(0, |&v| place[v]));
             cliques[at].potentials.push(number);
-            home.push(at);
         }
-        Ok(Self { states, names, potentials, home, cliques, place, of_factor, entries: order.entries })
+        Ok(Self { states, names, potentials, cliques, factors, entries: order.entries })
     }
 
     /// Entries of all cliques together.
@@ -201,8 +200,8 @@ impl JunctionTree {
         let (inward, log_evidence) = self.inward(log_sum)?;
         let mut outward: Vec<Option<Vec<f64>>> = vec![None; self.cliques.len()];
         let mut marginals = vec![Vec::new(); self.states.len()];
-        let mut factor_marginals = vec![Vec::new(); self.of_factor.len()];
-        let mut belief = Vec::new();
+        let mut factor_marginals = vec![Vec::new(); self.factors];
+        let (mut belief, mut others) = (Vec::new(), Vec::new());
         for at in (0..self.cliques.len()).rev() {
             let clique = &self.cliques[at];
             let from_parent = outward[at].take();
@@ -217,10 +216,16 @@ impl JunctionTree {
                 }
             }
             for &child in &clique.children {
-                // What the child sent is left out, not divided out: it may be zero.
-                self.belief(at, &inward, from_parent.as_deref(), Some(child), &mut belief);
                 let separator = separator(&self.cliques[child]);
-                let mut logs = self.project(&belief, clique, separator);
+                if inward[child].iter().all(|log| log.is_finite()) {
+                    others.clone_from(&belief);
+                    let sent = Part { variables: separator, logs: &inward[child] };
+                    combine::divide(&self.states, &clique.variables, &sent, &mut others);
+                } else {
+                    // What the child ruled out cannot be divided out.
+                    self.belief(at, &inward, from_parent.as_deref(), Some(child), &mut others);
+                }
+                let mut logs = self.project(&others, clique, separator);
                 let largest = logs.iter().copied().fold(f64::NEG_INFINITY, f64::max);
                 logs.iter_mut().for_each(|log| *log -= largest);
                 outward[child] = Some(logs);
@@ -243,7 +248,8 @@ impl JunctionTree {
             // The neighbours' states are known: they were eliminated later.
             let own = clique.variables[clique.variables.len() - 1];
             let separator = separator(clique);
-            let row = separator.iter().fold(0, |row, &variable| row * self.states[variable] + states[variable]);
+            let row =
+                separator.iter().fold(0, |row, &variable| row * self.states[variable] + states[variable]);
             let run = &belief[row * self.states[own]..(row + 1) * self.states[own]];
             let better = |best: usize, state: usize| if run[state] > run[best] { state } else { best };
             states[own] = (0..run.len()).fold(0, better);
@@ -288,10 +294,8 @@ impl JunctionTree {
             Part { variables: &potential.variables, logs: potential.logs() }
         });
         let children = clique.children.iter().filter(|&&child| Some(child) != without);
-        let children = children.map(|&child| Part {
-            variables: separator(&self.cliques[child]),
-            logs: &inward[child],
-        });
+        let children =
+            children.map(|&child| Part { variables: separator(&self.cliques[child]), logs: &inward[child] });
         let parent = from_parent.map(|logs| Part { variables: separator(clique), logs });
         combine(&self.states, &clique.variables, own.chain(children).chain(parent), out);
     }
@@ -299,12 +303,6 @@ impl JunctionTree {
     /// The logarithm of the sum of a clique's entries over all variables but `onto`.
     fn project(&self, belief: &[f64], clique: &Clique, onto: &[usize]) -> Vec<f64> {
         combine::project(&self.states, &clique.variables, belief, onto)
-    }
-
-    /// The clique that holds a factor's variables; for messages.
-    #[cfg(test)]
-    fn home(&self, factor: usize) -> &[usize] {
-        &self.cliques[self.home[self.of_factor[factor]]].variables
     }
 }
 

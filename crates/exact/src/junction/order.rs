@@ -92,7 +92,7 @@ impl Graph<'_> {
         let mut missing = 0;
         for &a in around {
             let later = around.range(a + 1..);
-            missing += later.filter(|b| !self.neighbours[a].contains(b)).count() as u64;
+            missing += later.filter(|&b| !self.neighbours[a].contains(b)).count() as u64;
         }
         (missing, (self.entries(variable).log2() * 65536.0) as u64)
     }

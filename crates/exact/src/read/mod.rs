@@ -7,15 +7,20 @@
 //! | PyFG | the same tags as g2o, with times and named variables | poses, points, ranges; covariances |
 //! | JSON | a brace | variables with a dimension, factors Σ A x ~ N(b, R) |
 //!
-//! Every error names the file and the line, the field, what was found and what was expected.
+//! Every error names the file and the line, the field, what was found and what was expected. Graphs of finitely many states
+//! are read by [`TableFile`].
 
+mod fg;
 mod fields;
 mod g2o;
 mod json;
 mod pyfg;
+mod tables;
 mod toro;
+mod uai;
 
 pub use fields::TextKind;
+pub use tables::{TableFactor, TableFile, TableVariable};
 
 use crate::{ExactError, Problem, Values};
 use std::collections::HashMap;
@@ -86,14 +91,7 @@ impl GraphFile {
     ///
     /// Where the file cannot be read, is of none of these kinds, or holds anything that cannot be used.
     pub fn read(path: &Path) -> Result<Self, ExactError> {
-        let text = std::fs::read(path)
-            .map_err(|error| ExactError::file(path, None, format!("cannot be read: {error}")))?;
-        let text = String::from_utf8(text).map_err(|error| {
-            let before = error.utf8_error().valid_up_to();
-            let line = 1 + error.as_bytes()[..before].iter().filter(|&&byte| byte == b'\n').count();
-            ExactError::file(path, Some(line), "is not text (UTF-8)")
-        })?;
-        Self::parse(path, &text)
+        Self::parse(path, &text(path)?)
     }
 
     /// Reads a file's text; `path` is for messages.
@@ -268,6 +266,21 @@ impl GraphFile {
         }
         Ok(Some(values))
     }
+}
+
+/// A file's text.
+///
+/// # Errors
+///
+/// Where the file cannot be read, or is no text.
+pub fn text(path: &Path) -> Result<String, ExactError> {
+    let bytes = std::fs::read(path)
+        .map_err(|error| ExactError::file(path, None, format!("cannot be read: {error}")))?;
+    String::from_utf8(bytes).map_err(|error| {
+        let before = error.utf8_error().valid_up_to();
+        let line = 1 + error.as_bytes()[..before].iter().filter(|&&byte| byte == b'\n').count();
+        ExactError::file(path, Some(line), "is not text (UTF-8)")
+    })
 }
 
 /// Numbers as an array of their own length.

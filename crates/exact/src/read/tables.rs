@@ -99,7 +99,7 @@ impl TableFile {
     ///
     /// Where a table does not fit its variables, which no file that was read leaves open.
     pub fn graph(&self) -> Result<FactorGraph<Categorical>, ExactError> {
-        let mut graph = FactorGraph::new();
+        let mut graph = FactorGraph::<Categorical>::new();
         let mut handles = Vec::with_capacity(self.variables.len());
         for variable in &self.variables {
             handles.push(graph.variable(variable.name.clone(), Space::finite(variable.states))?);
@@ -229,7 +229,8 @@ impl<'a> Words<'a> {
             None => Ok(()),
             Some((line, word)) => {
                 self.line = line;
-                Err(self.error(format!("{word:?} follows after the last factor; expected the end of the file")))
+                Err(self
+                    .error(format!("{word:?} follows after the last factor; expected the end of the file")))
             }
         }
     }

@@ -6,4 +6,5 @@ mod golden;
 mod malformed;
 mod observability;
 mod pose_graphs;
+mod states;
 mod support;

@@ -15,8 +15,8 @@ use super::forms::Forms;
 use super::pass::{damp, extrinsic, product_error, replace_guess, rule_error};
 use super::{Engine, Options, PARALLEL_EDGES, Scratch, State};
 use crate::{
-    Factor, FactorGraph, FactorId, GraphError, Group, Incoming, Message, MessageError, MessageStreams, Messages,
-    Outgoing, Port, Purpose, Stream, Topology,
+    Factor, FactorGraph, FactorId, GraphError, Group, Incoming, Message, MessageError, MessageStreams,
+    Messages, Outgoing, Port, Purpose, Stream, Topology,
 };
 use std::ops::Range;
 
@@ -328,9 +328,8 @@ fn send_in_groups<M: Message, F: Factor<M>>(
         if damping > 0.0 {
             for ((new, old), &sent) in group.iter_mut().zip(own).zip(&state.sent[edges.clone()]) {
                 if sent {
-                    damp(new, old, damping).map_err(|source| {
-                        failed(shared, members.start, edges.start, source)
-                    })?;
+                    damp(new, old, damping)
+                        .map_err(|source| failed(shared, members.start, edges.start, source))?;
                 }
                 old.clone_from(new);
             }

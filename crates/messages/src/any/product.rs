@@ -144,6 +144,7 @@ fn drawn_product(
             AnyValue::Gaussian(gaussian) => product.add(gaussian)?,
             AnyValue::Mixture(mixture) => mixtures.push(mixture.clone()),
             AnyValue::Particles(_) => {}
+            AnyValue::Categorical(_) => product.add(&message.value.held().to_gaussian()?.0)?,
         }
     }
     let (mut particles, loss) = if mixtures.is_empty() {

@@ -141,7 +141,8 @@ impl Logical {
     }
 
     fn one<S: Semiring>(&self, semiring: S, to: Port, logs: &[f64]) -> [f64; 2] {
-        let before = (0..to).fold(self.start(semiring), |states, port| self.forth(semiring, port, states, logs));
+        let before =
+            (0..to).fold(self.start(semiring), |states, port| self.forth(semiring, port, states, logs));
         let ports = (to + 1..self.cardinalities.len()).rev();
         let after = ports.fold([semiring.one(); 2], |states, port| self.back(semiring, port, states, logs));
         self.message_at(semiring, to, before, after)

@@ -130,7 +130,8 @@ impl pulp::NullaryFnOnce for Many<'_> {
         let mut own = [0.0; LANES];
         let mut strength = [0.0; LANES];
         let mut x = [0.0; LANES];
-        let chunks = self.factors.chunks(LANES / 2).zip(self.inputs.chunks(LANES)).zip(self.out.chunks_mut(LANES));
+        let chunks =
+            self.factors.chunks(LANES / 2).zip(self.inputs.chunks(LANES)).zip(self.out.chunks_mut(LANES));
         for ((factors, inputs), out) in chunks {
             for (k, (factor, ends)) in factors.iter().zip(inputs.chunks_exact(2)).enumerate() {
                 let [a, b] = factor.fields;

@@ -1,8 +1,8 @@
 //! The messages of a table, at any temperature.
 
+use super::Table;
 use super::questions::{LocalEvidence, Tabulation};
 use super::semiring::{LogSums, Maxima, Room, Values, marginalise};
-use super::Table;
 use smallvec::SmallVec;
 use std::any::Any;
 use sumprod_graph::{Factor, Incoming, MessageError, Port, Stream};
@@ -18,7 +18,7 @@ const LEAST: f64 = 1e-290;
 impl Table {
     /// The logarithms of the message to port `to`, up to a constant, from those of all ports (port by port; the receiver's
     /// are arbitrary).
-    fn logs_to(&self, to: Port, temperature: f64, incoming: &mut [f64], out: &mut [f64]) {
+    fn logs_to(&self, to: Port, temperature: f64, incoming: &[f64], out: &mut [f64]) {
         if temperature == 1.0 && self.values_to(to, incoming, out) {
             return;
         }
@@ -149,7 +149,7 @@ impl<M: CategoricalFamily> Factor<M> for Table {
         let mut logs = Numbers::from_elem(0.0, cardinalities.iter().sum());
         read(cardinalities, to, incoming, &mut logs)?;
         let mut sent = Numbers::from_elem(0.0, cardinalities[to]);
-        self.logs_to(to, temperature, &mut logs, &mut sent);
+        self.logs_to(to, temperature, &logs, &mut sent);
         out.write_logs(incoming.belief(to), &sent)
     }
 

@@ -108,7 +108,8 @@ pub(super) fn marginalise<S: Semiring>(
     for row in entries.chunks_exact(last) {
         for port in changed..ports {
             let weight = room.weights[port];
-            let entry = if port == to { semiring.one() } else { incoming[room.starts[port] + room.states[port]] };
+            let entry =
+                if port == to { semiring.one() } else { incoming[room.starts[port] + room.states[port]] };
             room.weights[port + 1] = semiring.times(weight, entry);
         }
         let weight = room.weights[ports];

@@ -140,7 +140,11 @@ impl Table {
             }
             index = index * cardinality + state;
         }
-        if states.len() == self.cardinalities.len() { self.peak + self.logs()[index] } else { f64::NEG_INFINITY }
+        if states.len() == self.cardinalities.len() {
+            self.peak + self.logs()[index]
+        } else {
+            f64::NEG_INFINITY
+        }
     }
 
     /// Of a table of two ports: for each state of the port that is summed over, a row of values by the state of `to`.

@@ -4,7 +4,8 @@ use proptest::prelude::*;
 use std::sync::Arc;
 use sumprod_graph::schedule::{Flooding, ForwardBackward, Residual};
 use sumprod_graph::{
-    Engine, Factor, FactorGraph, Incoming, Message, MessageError, MessageStreams, Options, Purpose, Space, Stream,
+    Engine, Factor, FactorGraph, Incoming, Message, MessageError, MessageStreams, Options, Purpose, Space,
+    Stream,
 };
 use sumprod_messages::{AnyForm, AnyMessage, Categorical, CategoricalFamily, CategoricalForm, LogOdds};
 use sumprod_models::discrete::{LocalEvidence, Logical, PairOdds, Table, TableError, Tabulation};
@@ -52,19 +53,24 @@ fn assert_close(found: &[f64], expected: &[f64]) {
 fn message<M: CategoricalFamily>(factor: &impl Factor<M>, to: usize, incoming: &[M], form: &M::Form) -> M {
     let variables: Vec<u32> = (0..incoming.len() as u32).collect();
     let incoming = Incoming::new(incoming, incoming, &variables);
-    factor.message(to, &incoming, form, &mut Stream::new(1, 0, Purpose::Message, 0)).unwrap()
+    let mut stream = Stream::new(1, 0, Purpose::Message, 0);
+    Factor::<M>::message(factor, to, &incoming, form, &mut stream).unwrap()
 }
 
 /// A few cardinalities, a table of them with some zeros, and messages.
 fn cases() -> impl Strategy<Value = (Table, Vec<Categorical>)> {
     prop::collection::vec(1_usize..5, 1..5).prop_flat_map(|cardinalities| {
-        let entries = cardinalities.iter().product();
+        let entries: usize = cardinalities.iter().product();
         let log = prop_oneof![6 => -4.0..4.0_f64, 1 => Just(f64::NEG_INFINITY), 1 => -2000.0..-700.0];
-        let messages: Vec<_> = cardinalities.iter().map(|&n| prop::collection::vec(-5.0..0.0_f64, n)).collect();
-        (prop::collection::vec(log, entries), messages).prop_filter_map("all zero", move |(logs, messages)| {
-            let table = Table::from_logs(&cardinalities, logs).ok()?;
-            Some((table, messages.iter().map(|logs| Categorical::new(logs).unwrap()).collect()))
-        })
+        let messages: Vec<_> =
+            cardinalities.iter().map(|&n| prop::collection::vec(-5.0..0.0_f64, n)).collect();
+        (prop::collection::vec(log, entries), messages).prop_filter_map(
+            "all zero",
+            move |(logs, messages)| {
+                let table = Table::from_logs(&cardinalities, logs).ok()?;
+                Some((table, messages.iter().map(|logs| Categorical::new(logs).unwrap()).collect()))
+            },
+        )
     })
 }
 
@@ -198,7 +204,7 @@ fn a_tree_of_states_is_exact_by_every_schedule_and_family() {
     }
     let total: f64 = exact[0].iter().sum();
     fn graph<M: CategoricalFamily>(tables: &[Arc<Table>; 3]) -> FactorGraph<M> {
-        let mut graph = FactorGraph::new();
+        let mut graph = FactorGraph::<M>::new();
         let ids: Vec<_> = ["a", "b", "c"].map(|n| graph.variable(n, Space::finite(2)).unwrap()).into();
         graph.factor("prior", Box::new(tables[0].clone()), &ids[..1]).unwrap();
         graph.factor("step", Box::new(tables[1].clone()), &ids[..2]).unwrap();

@@ -1,6 +1,6 @@
 //! What a method does with a graph.
 
-use super::Prepared;
+use super::Coordinates;
 use crate::error::PositioningError;
 use crate::results::MethodRun;
 use serde::{Deserialize, Serialize};
@@ -27,6 +27,34 @@ pub struct MethodSettings {
     /// The robust kernel of all factors of the file, for instance `{ huber = 1.345 }`.
     #[serde(default)]
     pub kernel: Kernel,
+    /// Which messages over states are sent first: all at once, or those whose inputs have changed most.
+    #[serde(default)]
+    pub schedule: Order,
+    /// The change of messages over states below which they have settled.
+    #[serde(default = "tolerance")]
+    pub tolerance: f64,
+    /// The most entries of all tables of a junction tree.
+    #[serde(default = "most_entries")]
+    pub most_entries: usize,
+}
+
+/// The order of messages over states.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Order {
+    /// All at once.
+    #[default]
+    Flooding,
+    /// The largest change first.
+    Residual,
+}
+
+fn tolerance() -> f64 {
+    1e-9
+}
+
+fn most_entries() -> usize {
+    sumprod_exact::JunctionOptions::default().most_entries
 }
 
 fn iterations() -> usize {
@@ -47,12 +75,32 @@ pub enum Inference {
     Map,
     /// Loopy Gaussian belief propagation.
     GaussianBp,
+    /// Marginals and evidence of states, exact.
+    JunctionTree,
+    /// Loopy sum-product messages over states.
+    Bp,
+    /// Loopy max-product messages over states.
+    MaxProduct,
+}
+
+impl Inference {
+    /// Whether this is for graphs of finitely many states.
+    pub(super) fn takes_states(self) -> bool {
+        matches!(self, Self::Map | Self::JunctionTree | Self::Bp | Self::MaxProduct)
+    }
+
+    /// Whether this is for graphs of continuous variables.
+    pub(super) fn takes_coordinates(self) -> bool {
+        matches!(self, Self::Map | Self::Joint | Self::GaussianBp)
+    }
 }
 
 impl MethodSettings {
     pub(super) fn validate(&self, id: &str) -> Result<(), PositioningError> {
         let key = |name: &str| format!("method.{id}.{name}");
-        for (name, value) in [("iterations", self.iterations), ("rounds", self.rounds)] {
+        let counts =
+            [("iterations", self.iterations), ("rounds", self.rounds), ("most_entries", self.most_entries)];
+        for (name, value) in counts {
             if value == 0 {
                 return Err(PositioningError::setting(key(name), "is 0; it must be at least 1"));
             }
@@ -60,6 +108,10 @@ impl MethodSettings {
         if !(0.0..1.0).contains(&self.damping) {
             let problem = format!("is {}; it must be at least 0 and below 1", self.damping);
             return Err(PositioningError::setting(key("damping"), problem));
+        }
+        if !(self.tolerance >= 0.0 && self.tolerance.is_finite()) {
+            let problem = format!("is {}; it must be finite and not negative", self.tolerance);
+            return Err(PositioningError::setting(key("tolerance"), problem));
         }
         let width = match self.kernel {
             Kernel::None => 1.0,
@@ -75,7 +127,7 @@ impl MethodSettings {
         Ok(())
     }
 
-    pub(super) fn run(&self, prepared: &Prepared, out: &mut MethodRun) -> Result<Answer, ExactError> {
+    pub(super) fn run(&self, prepared: &Coordinates, out: &mut MethodRun) -> Result<Answer, ExactError> {
         let mut problem = Problem::new(&prepared.graph)?;
         if self.kernel != Kernel::None {
             // Priors hold the gauge, and are no measurements that may be outliers.
@@ -95,7 +147,7 @@ impl MethodSettings {
                 report(out, solution.report().cost, solution.report().iterations);
                 Ok(Answer { values: solution.values().clone(), covariances: None })
             }
-            Inference::Joint => {
+            _ => {
                 let mut solution = problem.solve(prepared.start.clone(), &options)?;
                 report(out, solution.report().cost, solution.report().iterations);
                 out.diagnose("log_evidence", solution.log_evidence()?);
@@ -107,7 +159,7 @@ impl MethodSettings {
     fn beliefs(
         &self,
         problem: &Problem<'_>,
-        prepared: &Prepared,
+        prepared: &Coordinates,
         out: &mut MethodRun,
     ) -> Result<Answer, ExactError> {
         let options = BeliefOptions {
@@ -132,7 +184,7 @@ impl MethodSettings {
     }
 }
 
-fn report(out: &mut MethodRun, cost: f64, iterations: usize) {
+pub(super) fn report(out: &mut MethodRun, cost: f64, iterations: usize) {
     out.diagnose("cost", cost);
     out.diagnose("iterations", iterations as f64);
 }

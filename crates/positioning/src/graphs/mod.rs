@@ -5,6 +5,10 @@
 //! | `joint` | the minimum of the cost, all marginal covariances, the evidence; exact where the graph is linear |
 //! | `map` | the minimum of the cost alone |
 //! | `gaussian-bp` | loopy Gaussian belief propagation on the linear form, again and again made linear at its own means |
+//! | `junction-tree` | of finitely many states: all marginals and the evidence, exact; `map` is the most probable state |
+//! | `bp`, `max-product` | of finitely many states: loopy messages that sum or maximise, by `schedule` |
+//!
+//! Methods that are not for the file's kind of variables are left out.
 //!
 //! Files are those of [`sumprod_exact::read`]. The first method's answer is written to `marginals.json`, those of the
 //! others to `marginals-ID.json`: by variable the mean in stored coordinates and the covariance in local ones, of a pose in
@@ -12,12 +16,13 @@
 
 mod marginals;
 mod method;
+mod states;
 
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 use sumprod_exact::observability::{free_directions, mirror_images};
-use sumprod_exact::read::GraphFile;
+use sumprod_exact::read::{self, GraphFile, TableFile};
 use sumprod_exact::{Answer, ExactError, Problem, Values, chordal_start};
 use sumprod_graph::{FactorGraph, Space};
 use sumprod_messages::DynamicGaussian;
@@ -27,6 +32,7 @@ use crate::error::PositioningError;
 use crate::results::{MethodRun, OutputFile, RunResult};
 use crate::scenario::{FormUse, GraphSummary, Methods, RunRequest, Scenario};
 use method::{Inference, MethodSettings};
+use states::States;
 
 /// A scenario of system `graph`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -101,7 +107,15 @@ impl From<ResidualForm> for PoseResidual {
 }
 
 /// A file that has been read.
-pub struct Prepared {
+pub struct Prepared(Kind);
+
+enum Kind {
+    Coordinates(Box<Coordinates>),
+    States(Box<States>),
+}
+
+/// A graph of continuous variables.
+struct Coordinates {
     /// What the file holds, its anchor included.
     file: GraphFile,
     graph: FactorGraph<DynamicGaussian>,
@@ -150,6 +164,67 @@ impl Graphs {
                 }
             }
         }
+    }
+
+    /// The methods among these that are for a kind of variables.
+    fn applicable<'a>(
+        &self,
+        ids: &'a [String],
+        kind: &str,
+        takes: fn(Inference) -> bool,
+    ) -> Result<Vec<&'a String>, PositioningError> {
+        let takes = |id: &&String| self.method.get(id).is_some_and(|method| takes(method.inference));
+        let chosen: Vec<&String> = ids.iter().filter(takes).collect();
+        if chosen.is_empty() {
+            let problem = format!("holds a graph of {kind}, which {} cannot run", ids.join(", "));
+            return Err(PositioningError::setting("method", problem));
+        }
+        Ok(chosen)
+    }
+
+    /// Every method that is for continuous variables.
+    fn run_coordinates(
+        &self,
+        prepared: &Coordinates,
+        request: RunRequest<'_>,
+    ) -> Result<RunResult, PositioningError> {
+        let ids = self.applicable(request.methods, "continuous variables", Inference::takes_coordinates)?;
+        let mut methods = Vec::with_capacity(ids.len());
+        let mut answers: Vec<(String, Answer)> = Vec::new();
+        let mut failed = None;
+        for id in ids {
+            let settings = self.method(id)?;
+            let mut answer = None;
+            let run = MethodRun::timed(id, marginals::layout(), |out| {
+                match settings.run(prepared, out) {
+                    Ok(found) => answer = Some(found),
+                    // Messages may fail where a joint solve does not; the others' answers stand.
+                    Err(error) if settings.inference == Inference::GaussianBp => {
+                        out.notes.push(format!("no answer: {error}"));
+                        failed = Some(PositioningError::method(id, error));
+                    }
+                    Err(error) => return Err(solving(id, error)),
+                }
+                Ok(())
+            })?;
+            methods.push(run);
+            answers.extend(answer.map(|answer| (id.clone(), answer)));
+        }
+        if let (true, Some(error)) = (answers.is_empty(), failed) {
+            return Err(error);
+        }
+        let joint = |(id, _): &&(String, Answer)| {
+            self.method.get(id).is_some_and(|method| method.inference == Inference::Joint)
+        };
+        if let Some(exact) = answers.iter().find(joint) {
+            marginals::compare(exact, &answers, &mut methods);
+        }
+        let file = |(k, (id, answer)): (usize, &(String, Answer))| OutputFile {
+            name: if k == 0 { "marginals.json".to_owned() } else { format!("marginals-{id}.json") },
+            contents: marginals::json(answer, &prepared.file),
+        };
+        let files = answers.iter().enumerate().map(file).collect();
+        Ok(RunResult { run: request.run, methods, files, ..RunResult::default() })
     }
 }
 
@@ -203,53 +278,26 @@ impl Scenario for Graphs {
                 "is a folder; name one graph's file with --data FILE",
             ));
         }
-        let mut file = GraphFile::read(path).map_err(input)?;
+        let text = read::text(path).map_err(input)?;
+        if TableFile::recognises(path, &text) {
+            let file = TableFile::parse(path, &text).map_err(input)?;
+            return Ok(Prepared(Kind::States(Box::new(States::new(file).map_err(input)?))));
+        }
+        let mut file = GraphFile::parse(path, &text).map_err(input)?;
         self.anchor(&mut file)?;
         let graph = file.graph(self.world.residual.into()).map_err(input)?;
         let start = {
             let problem = Problem::new(&graph).map_err(input)?;
             self.start(&file, &problem).map_err(input)?
         };
-        Ok(Prepared { file, graph, start })
+        Ok(Prepared(Kind::Coordinates(Box::new(Coordinates { file, graph, start }))))
     }
 
     fn run(&self, prepared: &Prepared, request: RunRequest<'_>) -> Result<RunResult, PositioningError> {
-        let mut methods = Vec::with_capacity(request.methods.len());
-        let mut answers: Vec<(String, Answer)> = Vec::new();
-        let mut failed = None;
-        for id in request.methods {
-            let settings = self.method.named(id)?;
-            let mut answer = None;
-            let run = MethodRun::timed(id, marginals::layout(), |out| {
-                match settings.run(prepared, out) {
-                    Ok(found) => answer = Some(found),
-                    // Messages may fail where a joint solve does not; the others' answers stand.
-                    Err(error) if settings.inference == Inference::GaussianBp => {
-                        out.notes.push(format!("no answer: {error}"));
-                        failed = Some(PositioningError::method(id, error));
-                    }
-                    Err(error) => return Err(solving(id, error)),
-                }
-                Ok(())
-            })?;
-            methods.push(run);
-            answers.extend(answer.map(|answer| (id.clone(), answer)));
+        match &prepared.0 {
+            Kind::Coordinates(prepared) => self.run_coordinates(prepared, request),
+            Kind::States(prepared) => self.run_states(prepared, request),
         }
-        if let (true, Some(error)) = (answers.is_empty(), failed) {
-            return Err(error);
-        }
-        let joint = |(id, _): &&(String, Answer)| {
-            self.method.get(id).is_some_and(|method| method.inference == Inference::Joint)
-        };
-        if let Some(exact) = answers.iter().find(joint) {
-            marginals::compare(exact, &answers, &mut methods);
-        }
-        let file = |(k, (id, answer)): (usize, &(String, Answer))| OutputFile {
-            name: if k == 0 { "marginals.json".to_owned() } else { format!("marginals-{id}.json") },
-            contents: marginals::json(answer, &prepared.file),
-        };
-        let files = answers.iter().enumerate().map(file).collect();
-        Ok(RunResult { run: request.run, methods, files, ..RunResult::default() })
     }
 
     fn check(
@@ -258,6 +306,10 @@ impl Scenario for Graphs {
         _seed: u64,
         methods: &[String],
     ) -> Result<Vec<GraphSummary>, PositioningError> {
+        let prepared = match &prepared.0 {
+            Kind::States(prepared) => return Ok(prepared.summaries(methods)),
+            Kind::Coordinates(prepared) => prepared,
+        };
         let graph = &prepared.graph;
         let problem = Problem::new(graph).map_err(input)?;
         let free = free_directions(&problem, &prepared.start).map_err(input)?;

@@ -38,6 +38,11 @@ pub(crate) struct Retrodiction<'a> {
 
 impl Retrodiction<'_> {
     pub(crate) fn message(&self, next: &Potential) -> Result<MixtureMessage, MessageError> {
+        Ok(self.potential(next)?.checked("a component of the message")?.into())
+    }
+
+    /// The same before it is scaled: its values tell how well the motion agrees with the message.
+    pub(crate) fn potential(&self, next: &Potential) -> Result<Potential, MessageError> {
         let d = next.dimension();
         let origin = Vector::from_elem(0.0, d);
         let places: Vec<&[f64]> = match &self.guide {
@@ -54,7 +59,7 @@ impl Retrodiction<'_> {
             let chosen = (0..places.len()).max_by(|a, b| reach(a).total_cmp(&reach(b))).unwrap_or(0);
             self.component(next, k, places[chosen], &ahead[chosen], &mut message)?;
         }
-        Ok(message.checked("a component of the message")?.into())
+        Ok(message)
     }
 
     fn component(
