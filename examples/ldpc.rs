@@ -61,7 +61,7 @@ pub fn main() -> Result<(), Error> {
     let mut random = Stream::new(3, 0, Purpose::World, 0).fast();
     let checks = checks(&mut random);
     println!("{BITS} bits, {} checks", checks.len());
-    for (crossover, decodes) in [(0.06, Some(true)), (0.075, Some(true)), (0.084, None), (0.095, Some(false))]
+    for (crossover, decodes) in [(0.06, Some(true)), (0.07, Some(true)), (0.084, None), (0.095, Some(false))]
     {
         let (wrong, report) = decode(&checks, crossover, &mut random)?;
         println!("crossover {crossover}: {wrong} bits wrong; {report}");

@@ -89,7 +89,7 @@ fn messages(branches: usize) -> Result<(Answer, f64), Error> {
     let mut graph = FactorGraph::<AnyMessage>::new();
     let line = Space::real(1);
     let (mut states, mut switches) = (Vec::new(), Vec::new());
-    let mixture = AnyForm::mixture(branches);
+    let mixture = AnyForm::Mixture(MixtureForm::new(branches).with_product(ProductChoice::Exact));
     for (time, &seen) in SEEN.iter().enumerate() {
         let state = graph.variable(format!("state {time}"), line.clone())?;
         let sensor =
