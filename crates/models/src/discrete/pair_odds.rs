@@ -141,14 +141,11 @@ impl pulp::NullaryFnOnce for Many<'_> {
                 // What is sent to one end comes from the other.
                 (x[2 * k], x[2 * k + 1]) = (ends[1].0 + b, ends[0].0 + a);
             }
+            let lanes = own.iter_mut().zip(&x).zip(&strength);
             if self.maximise {
-                for lane in 0..LANES {
-                    own[lane] += maxima(x[lane], strength[lane]);
-                }
+                lanes.for_each(|((own, x), coupling)| *own += maxima(*x, *coupling));
             } else {
-                for lane in 0..LANES {
-                    own[lane] += sums(x[lane], strength[lane]);
-                }
+                lanes.for_each(|((own, x), gain)| *own += sums(*x, *gain));
             }
             out.iter_mut().zip(&own).for_each(|(out, own)| out.0 = *own);
         }
@@ -183,8 +180,8 @@ impl Factor<LogOdds> for PairOdds {
         }
         let pairs = factors.iter().zip(group.inputs().chunks_exact(2)).zip(group.forms().chunks_exact(2));
         for (((factor, ends), forms), out) in pairs.zip(out.chunks_exact_mut(2)) {
-            for to in 0..2 {
-                out[to].0 = factor.send(to, ends[1 - to].0, forms[to].temperature);
+            for (to, (out, form)) in out.iter_mut().zip(forms).enumerate() {
+                out.0 = factor.send(to, ends[1 - to].0, form.temperature);
             }
         }
         Ok(())
