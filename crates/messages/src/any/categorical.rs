@@ -34,8 +34,23 @@ impl Held for Categorical {
         Err(no_coordinates())
     }
 
-    fn log_value(&self, _coordinates: &[Coordinate], _point: &[f64]) -> Option<f64> {
-        None
+    fn to_marginal(
+        &self,
+        _coordinates: &[Coordinate],
+        _read: &[usize],
+        _form: &MixtureForm,
+    ) -> Result<Option<(MixtureMessage, f64)>, MessageError> {
+        Err(no_coordinates())
+    }
+
+    fn add_logs(
+        &self,
+        _coordinates: &[Coordinate],
+        _points: &[f64],
+        _power: f64,
+        _logs: &mut [f64],
+    ) -> Result<(), MessageError> {
+        Err(no_coordinates())
     }
 
     fn is_vacuous(&self) -> bool {

@@ -193,7 +193,7 @@ impl Graphs {
         let mut answers: Vec<(String, Answer)> = Vec::new();
         let mut failed = None;
         for id in ids {
-            let settings = self.method(id)?;
+            let settings = self.method.named(id)?;
             let mut answer = None;
             let run = MethodRun::timed(id, marginals::layout(), |out| {
                 match settings.run(prepared, out) {

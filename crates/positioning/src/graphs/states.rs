@@ -180,7 +180,7 @@ impl Graphs {
         let mut answers = Vec::with_capacity(ids.len());
         let mut failed = None;
         for id in ids {
-            let settings = self.method(id)?;
+            let settings = self.method.named(id)?;
             let mut answer = None;
             let run = MethodRun::timed(id, marginals::layout(), |out| {
                 match prepared.run(settings, out) {
