@@ -14,8 +14,8 @@
 //! Adding a family to the mix touches its own file and [`AnyMessage`] alone.
 
 mod any;
-mod cumulants;
 mod categorical;
+mod cumulants;
 mod dense;
 mod dynamic;
 mod gaussian;

@@ -18,13 +18,14 @@
 //!
 //! **Valid.** The fitness is log ℓ + log p̂, and the search does no more than shape a proposal
 //!
-//! q = α p̃ + (1 − α) (½ A + ½ B),
+//! q = α p̂ + (1 − α) (½ A + ½ B),
 //!
-//! where p̃ is the board's Gaussian sum of the prior (weight, mean and covariance of each sub-swarm), A the Gaussians
-//! of the prior's particles weighed by ℓ, and B those of the moved ones weighed by ℓ p̂ over a Gaussian around their
-//! own sub-swarm, both widened. Particles are drawn anew from q and weighed by ℓ p̂ / q, so that a bad search lowers
-//! the effective sample size and never the validity. p̂ is the prior's density where it is known, else p̃: then the
-//! prior keeps its mean and covariance, and its shape to the resolution of S Gaussians.
+//! where A is the Gaussians of the prior's particles weighed by ℓ, and B those of the moved ones weighed by ℓ p̂ over a
+//! Gaussian around their own sub-swarm, both widened. Particles are drawn anew from q and weighed by ℓ p̂ / q, at most
+//! ℓ / α, so that a bad search lowers the effective sample size and never the validity; the mean weight is the
+//! evidence. p̂ is the prior's density where it is known, else p̃, the board's Gaussian sum of the prior (weight, mean and
+//! covariance of each sub-swarm): then the prior keeps its mean and covariance, and its shape to the resolution of S
+//! Gaussians.
 //!
 //! Source: Wang, Wang, Zou, Qian, "Cooperative particle filtering algorithm based on knowledge plate" (2014), whose
 //! equations are lost in the copies that exist; the names of the states and of (6) to (8) are the paper's, the
@@ -46,7 +47,7 @@ use crate::moves::{Move, Moved, Validity};
 use crate::target::Target;
 use chart::Chart;
 use partition::Partition;
-use proposal::{Components, draw};
+use proposal::{Components, Proposal};
 use swarm::Swarms;
 
 pub use knowledge::{Board, Knowledge, LifeState};
@@ -162,24 +163,26 @@ impl KnowledgeBoard {
         let (swarms, likelihood) = self.moved(&cloud, &prior_density, target, random)?;
         let weighed: Vec<f64> =
             likelihood.iter().zip(&cloud.log_weights).map(|(log, weight)| log + weight).collect();
-        let log_evidence = crate::moves::weights_of(&weighed).ok().map(|(_, total)| total);
         let ranges = cloud.partition.ranges();
         let fits = [
             Components::weighted(&cloud.standard, &weighed, ranges, cloud.chart.dimension()),
             swarms.corrected()?,
         ];
-        let proposal = cloud.sum.clone().defended(fits, self.settings.defensive_share).mixture()?;
-        let standard = draw(&proposal, cloud.partition.len(), random)?;
-        let mut log_weights = vec![0.0; cloud.partition.len()];
-        let points = cloud.chart.places(&standard);
+        let shaped = Components::shaped(fits).filter(|_| self.settings.defensive_share < 1.0);
+        let (count, share) = (cloud.partition.len(), self.settings.defensive_share);
+        let proposal = Proposal::new(target.prior_density(), &cloud.sum, shaped, share, count)?;
+        let points = proposal.draw(&cloud.chart, random)?;
+        let standard = cloud.chart.standardises(&points);
+        let (mut log_weights, mut prior, mut proposed) =
+            (vec![0.0; count], vec![0.0; count], vec![0.0; count]);
         target.log_likelihood(&points, &mut log_weights)?;
-        let mut density = vec![0.0; log_weights.len()];
-        cloud.log_prior(target, &prior_density, &standard, &points, &mut density)?;
-        log_weights.iter_mut().zip(&density).for_each(|(weight, log)| *weight += log);
-        Evaluator::new(&proposal).log_densities(&standard, &mut density)?;
-        log_weights.iter_mut().zip(&density).for_each(|(weight, log)| *weight -= log);
+        cloud.log_prior(target, &prior_density, &standard, &points, &mut prior)?;
+        proposal.log_densities(&standard, &prior, &mut proposed)?;
+        for (weight, (prior, proposed)) in log_weights.iter_mut().zip(prior.iter().zip(&proposed)) {
+            *weight += prior - proposed - (count as f64).ln();
+        }
         let moved = Moved::weighed(target, points, log_weights)?;
-        Ok(Moved { ancestors: Vec::new(), log_evidence, ..moved })
+        Ok(Moved { ancestors: Vec::new(), ..moved })
     }
 }
 
@@ -233,10 +236,12 @@ impl Cloud {
         points: &[f64],
         values: &mut [f64],
     ) -> Result<(), OptimizerError> {
-        if !target.log_prior(points, values)? {
-            board.log_densities(standard, values)?;
+        if target.log_prior(points, values)? {
+            let scale = self.chart.log_scale();
+            values.iter_mut().for_each(|value| *value += scale);
+            return Ok(());
         }
-        Ok(())
+        Ok(board.log_densities(standard, values)?)
     }
 }
 

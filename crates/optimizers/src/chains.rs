@@ -63,7 +63,7 @@ impl Chains {
     ) -> Result<Self, OptimizerError> {
         let (prior, d) = (target.prior(), target.dimension());
         let mut standard = vec![0.0; prior.points().len()];
-        let (chart, points, log_weights) = if target.has_prior_density() {
+        let (chart, points, log_weights) = if target.prior_density().is_some() {
             let frame = Frame::of(prior)?;
             for (point, u) in prior.points().chunks_exact(d).zip(standard.chunks_exact_mut(d)) {
                 frame.standardise(point, u);

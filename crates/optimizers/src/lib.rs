@@ -49,6 +49,6 @@ pub use scheme::Scheme;
 pub use ssp::Ssp;
 pub use stratified::Stratified;
 pub use systematic::Systematic;
-pub use target::{LogDensity, Target};
+pub use target::{LogDensity, PriorDensity, Target};
 pub use trigger::{Trigger, effective_sample_size};
 pub use weigh::Weigh;

@@ -5,7 +5,7 @@
 //! in a filter, so a [`Target`] counts each point at which it is evaluated, and optimizers are compared at equal
 //! counts.
 
-use sumprod_graph::{Coordinate, Space, wrap_angle};
+use sumprod_graph::{Coordinate, FastStream, Space, wrap_angle};
 use sumprod_messages::{Particles, Role};
 
 use crate::error::OptimizerError;
@@ -33,10 +33,20 @@ impl<F: Fn(&[f64]) -> f64 + Sync> LogDensity for F {
     }
 }
 
+/// The normalised density that the particles of a prior are a sample of.
+pub trait PriorDensity: LogDensity {
+    /// `count` new points of that density (row-major).
+    ///
+    /// # Errors
+    ///
+    /// Where the density cannot be drawn from.
+    fn draw(&self, count: usize, random: &mut FastStream) -> Result<Vec<f64>, OptimizerError>;
+}
+
 /// A prior known by a sample, times a likelihood whose evaluations are counted.
 pub struct Target<'a> {
     prior: &'a Particles,
-    prior_density: Option<&'a dyn LogDensity>,
+    prior_density: Option<&'a dyn PriorDensity>,
     likelihood: &'a dyn LogDensity,
     evaluations: u64,
 }
@@ -57,9 +67,9 @@ impl<'a> Target<'a> {
         Ok(Self { prior, prior_density: None, likelihood, evaluations: 0 })
     }
 
-    /// The same, with the density that the prior's particles are a sample of, up to a constant.
+    /// The same, with the density that the prior's particles are a sample of.
     #[must_use]
-    pub fn with_prior_density(mut self, density: &'a dyn LogDensity) -> Self {
+    pub fn with_prior_density(mut self, density: &'a dyn PriorDensity) -> Self {
         self.prior_density = Some(density);
         self
     }
@@ -114,9 +124,9 @@ impl<'a> Target<'a> {
         }
     }
 
-    /// Whether the prior's density is known.
-    pub fn has_prior_density(&self) -> bool {
-        self.prior_density.is_some()
+    /// The prior's density, where it is known.
+    pub fn prior_density(&self) -> Option<&'a dyn PriorDensity> {
+        self.prior_density
     }
 
     /// Number of points at which the likelihood has been evaluated.
@@ -151,20 +161,35 @@ impl<'a> Target<'a> {
 mod tests {
     use super::*;
 
+    struct Second;
+
+    impl LogDensity for Second {
+        fn log_values(&self, points: &[f64], values: &mut [f64]) -> Result<(), OptimizerError> {
+            values.iter_mut().zip(points.chunks_exact(3)).for_each(|(value, x)| *value = x[1]);
+            Ok(())
+        }
+    }
+
+    impl PriorDensity for Second {
+        fn draw(&self, count: usize, _: &mut FastStream) -> Result<Vec<f64>, OptimizerError> {
+            Ok(vec![0.0; 3 * count])
+        }
+    }
+
     fn prior() -> Particles {
         Particles::equally_weighted(&Space::pose2(), vec![0.0, 1.0, 3.0, 2.0, 3.0, -3.0]).unwrap()
     }
 
     #[test]
     fn evaluations_of_the_likelihood_are_counted_and_those_of_the_prior_are_not() {
-        let (prior, likelihood, density) = (prior(), |x: &[f64]| -x[0], |x: &[f64]| x[1]);
+        let (prior, likelihood) = (prior(), |x: &[f64]| -x[0]);
         let mut target = Target::new(&prior, &likelihood).unwrap();
         let mut values = [0.0; 2];
         assert!(!target.log_prior(prior.points(), &mut values).unwrap());
         target.log_likelihood(prior.points(), &mut values).unwrap();
         target.log_likelihood(prior.point(1), &mut values[..1]).unwrap();
         assert_eq!((values, target.evaluations()), ([-2.0, -2.0], 3));
-        let target = Target::new(&prior, &likelihood).unwrap().with_prior_density(&density);
+        let target = Target::new(&prior, &likelihood).unwrap().with_prior_density(&Second);
         assert!(target.log_prior(prior.points(), &mut values).unwrap());
         assert_eq!((values, target.evaluations()), ([1.0, 3.0], 0));
     }

@@ -3,11 +3,12 @@
 #![allow(clippy::unwrap_used, reason = "helpers of tests fail the test")]
 
 use rand_distr::{Distribution, StandardNormal};
-use sumprod_graph::{Purpose, Space, Stream};
+use sumprod_graph::{FastStream, Purpose, Space, Stream};
 use sumprod_messages::Particles;
 use sumprod_optimizers::{
-    BoardSettings, Independence, KnowledgeBoard, Move, Moved, QuantumImportance, QuantumLiteral,
-    QuantumMetropolis, RandomWalk, Regularised, Rotation, Target, Validity, Weigh,
+    BoardSettings, Independence, KnowledgeBoard, LogDensity, Move, Moved, OptimizerError, PriorDensity,
+    QuantumImportance, QuantumLiteral, QuantumMetropolis, RandomWalk, Regularised, Rotation, Target,
+    Validity, Weigh,
 };
 
 /// Standard errors allowed: two-sided error probability 6e-7 of one comparison.
@@ -54,9 +55,7 @@ fn prior(entity: u64, weighted: bool) -> Particles {
         let normal: [f64; 2] = std::array::from_fn(|_| StandardNormal.sample(&mut random));
         let square = normal[0] * normal[0] + normal[1] * normal[1];
         logs.push(0.5 * square * (1.0 - width * width));
-        for row in 0..2 {
-            points.push(MEAN[row] + width * (FACTOR[row][0] * normal[0] + FACTOR[row][1] * normal[1]));
-        }
+        points.extend(place(normal.map(|normal| width * normal)));
     }
     Particles::new(&Space::real(2), points, logs).unwrap()
 }
@@ -66,10 +65,29 @@ fn log_likelihood(x: &[f64]) -> f64 {
     -0.5 * residual * residual / VARIANCE
 }
 
-fn log_prior(x: &[f64]) -> f64 {
-    let first = (x[0] - MEAN[0]) / FACTOR[0][0];
-    let second = (x[1] - MEAN[1] - FACTOR[1][0] * first) / FACTOR[1][1];
-    -0.5 * (first * first + second * second)
+struct Prior;
+
+impl LogDensity for Prior {
+    fn log_values(&self, points: &[f64], values: &mut [f64]) -> Result<(), OptimizerError> {
+        let scale = std::f64::consts::TAU * FACTOR[0][0] * FACTOR[1][1];
+        for (x, value) in points.chunks_exact(2).zip(values) {
+            let first = (x[0] - MEAN[0]) / FACTOR[0][0];
+            let second = (x[1] - MEAN[1] - FACTOR[1][0] * first) / FACTOR[1][1];
+            *value = -0.5 * (first * first + second * second) - scale.ln();
+        }
+        Ok(())
+    }
+}
+
+impl PriorDensity for Prior {
+    fn draw(&self, count: usize, random: &mut FastStream) -> Result<Vec<f64>, OptimizerError> {
+        Ok((0..count).flat_map(|_| place(std::array::from_fn(|_| StandardNormal.sample(random)))).collect())
+    }
+}
+
+/// The point of the prior at these standard coordinates.
+fn place(standard: [f64; 2]) -> [f64; 2] {
+    std::array::from_fn(|row| MEAN[row] + FACTOR[row][0] * standard[0] + FACTOR[row][1] * standard[1])
 }
 
 /// The posterior's mean and covariance, and the evidence.
@@ -113,7 +131,7 @@ fn moved(movement: &dyn Move, entity: u64, weighted: bool, known: bool) -> (Move
     let prior = prior(entity, weighted);
     let mut target = Target::new(&prior, &log_likelihood).unwrap();
     if known {
-        target = target.with_prior_density(&log_prior);
+        target = target.with_prior_density(&Prior);
     }
     let moved = movement.apply(&mut target, &mut stream(1, entity)).unwrap();
     (moved, target.evaluations())

@@ -6,12 +6,13 @@
 
 use std::sync::{Mutex, PoisonError};
 
-use sumprod_graph::{Coordinate, MessageError, Purpose, Space, Stream};
+use rand::RngExt;
+use sumprod_graph::{Coordinate, FastStream, MessageError, Purpose, Space, Stream};
 use sumprod_messages::{Evaluator, Mixture, Moments, Particles};
 use sumprod_models::Motion;
 use sumprod_models::cloud::{BLOCK, Cloud, Likelihood, Mover, Source, log_values};
 use sumprod_optimizers::{
-    LogDensity, Move, Moved, OptimizerError, Reselection, Systematic, Target, Trigger, Validity,
+    LogDensity, Move, Moved, OptimizerError, PriorDensity, Reselection, Systematic, Target, Trigger, Validity,
 };
 
 use super::prior;
@@ -217,7 +218,8 @@ impl DrivenFilter {
     fn moved<L: Likelihood>(&mut self, likelihood: &L) -> Result<Result<(Moved, f64), String>, FilterError> {
         let step = self.step;
         let points = AtPoints { likelihood, nearest: Mutex::new(f64::INFINITY) };
-        let density = self.density.as_ref().map(|density| Density(Evaluator::new(density)));
+        let density =
+            self.density.as_ref().map(|mixture| Density { mixture, evaluator: Evaluator::new(mixture) });
         let failed = |source| FilterError::Optimizer { step, source };
         let mut target = Target::new(&self.particles, &points).map_err(failed)?;
         if let Some(density) = &density {
@@ -390,12 +392,22 @@ impl<L: Likelihood> LogDensity for AtPoints<'_, L> {
 }
 
 /// The density of a prediction.
-struct Density<'a>(Evaluator<'a>);
+struct Density<'a> {
+    mixture: &'a Mixture,
+    evaluator: Evaluator<'a>,
+}
 
 impl LogDensity for Density<'_> {
     fn log_values(&self, points: &[f64], values: &mut [f64]) -> Result<(), OptimizerError> {
         /// Far below the noise that a finite number of particles leaves in weights.
         const TOLERANCE: f64 = 1e-6;
-        Ok(self.0.log_densities_within(points, TOLERANCE, values)?)
+        Ok(self.evaluator.log_densities_within(points, TOLERANCE, values)?)
+    }
+}
+
+impl PriorDensity for Density<'_> {
+    fn draw(&self, count: usize, random: &mut FastStream) -> Result<Vec<f64>, OptimizerError> {
+        let mut stream = Stream::new(random.random(), 0, Purpose::Optimizer, 0);
+        Ok(self.mixture.sample_systematic(count, &mut stream)?.points().to_vec())
     }
 }

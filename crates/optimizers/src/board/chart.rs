@@ -28,6 +28,11 @@ impl Chart {
         self.mean.len()
     }
 
+    /// Logarithm of the volume of a unit of standard coordinates: what a log density gains by standardising.
+    pub fn log_scale(&self) -> f64 {
+        self.deviations.iter().map(|deviation| deviation.ln()).sum()
+    }
+
     pub fn standardises(&self, points: &[f64]) -> Vec<f64> {
         let mut standard = points.to_vec();
         for row in standard.chunks_exact_mut(self.dimension()) {

@@ -4,9 +4,11 @@ use std::ops::Range;
 
 use rand::RngExt;
 use sumprod_graph::{FastStream, Purpose, Space, Stream};
-use sumprod_messages::Mixture;
+use sumprod_messages::{Evaluator, Mixture};
 
+use super::chart::Chart;
 use crate::error::OptimizerError;
+use crate::target::PriorDensity;
 
 /// Variance that every component has at least, in standard coordinates: it keeps a sub-swarm of one point apart
 /// from a singular matrix.
@@ -80,15 +82,20 @@ impl Components {
         self
     }
 
-    /// `share` of these and equal parts of those `fits` that hold something, widened; these alone where none does.
-    pub fn defended(self, fits: [Self; 2], share: f64) -> Self {
+    /// Equal parts of those `fits` that hold something, widened; nothing where none does.
+    pub fn shaped(fits: [Self; 2]) -> Option<Self> {
         let whole: Vec<Self> = fits.into_iter().filter(|fit| !fit.log_weights.is_empty()).collect();
-        if whole.is_empty() || share == 1.0 {
-            return self;
-        }
-        let rest = (1.0 - share) / whole.len() as f64;
-        let start = Self::none(self.dimension).and(self, share);
-        whole.into_iter().fold(start, |sum, fit| sum.and(fit.widened(WIDENING), rest))
+        let part = 1.0 / whole.len() as f64;
+        let add = |sum: Option<Self>, fit: Self| {
+            let sum = sum.unwrap_or_else(|| Self::none(fit.dimension));
+            Some(sum.and(fit.widened(WIDENING), part))
+        };
+        whole.into_iter().fold(None, add)
+    }
+
+    /// `share` of these and the rest of what is `shaped`.
+    pub fn defended(self, shaped: Self, share: f64) -> Self {
+        Self::none(self.dimension).and(self, share).and(shaped, 1.0 - share)
     }
 
     fn and(mut self, other: Self, share: f64) -> Self {
@@ -105,10 +112,81 @@ impl Components {
     }
 }
 
+/// What the particles are drawn from: the prior itself where its density is known, and a sum of Gaussians.
+pub(super) struct Proposal<'a> {
+    prior: Option<&'a dyn PriorDensity>,
+    /// How many are drawn from the prior.
+    defence: usize,
+    gaussians: Option<Mixture>,
+    count: usize,
+}
+
+impl<'a> Proposal<'a> {
+    /// For `count` particles: `share` of the prior, or of the `sum` that stands for it, and the rest of what is
+    /// `shaped`.
+    pub fn new(
+        prior: Option<&'a dyn PriorDensity>,
+        sum: &Components,
+        shaped: Option<Components>,
+        share: f64,
+        count: usize,
+    ) -> Result<Self, OptimizerError> {
+        let (defence, gaussians) = match (prior, shaped) {
+            (Some(_), None) => (count, None),
+            (Some(_), Some(shaped)) => {
+                (((share * count as f64).round() as usize).clamp(1, count), Some(shaped))
+            }
+            (None, None) => (0, Some(sum.clone())),
+            (None, Some(shaped)) => (0, Some(sum.clone().defended(shaped, share))),
+        };
+        let gaussians = gaussians.map(|sum| sum.mixture()).transpose()?;
+        Ok(Self { prior, defence, gaussians, count })
+    }
+
+    /// The particles. Each Gaussian has its share to within one point.
+    pub fn draw(&self, chart: &Chart, random: &mut FastStream) -> Result<Vec<f64>, OptimizerError> {
+        let mut points = match self.prior {
+            Some(prior) => prior.draw(self.defence, random)?,
+            None => Vec::new(),
+        };
+        if let Some(gaussians) = &self.gaussians {
+            points.extend(chart.places(&draw(gaussians, self.count - self.defence, random)?));
+        }
+        Ok(points)
+    }
+
+    /// Writes the log density at standard coordinates, given that of the prior there.
+    pub fn log_densities(
+        &self,
+        standard: &[f64],
+        log_prior: &[f64],
+        values: &mut [f64],
+    ) -> Result<(), OptimizerError> {
+        let Some(gaussians) = &self.gaussians else {
+            values.copy_from_slice(log_prior);
+            return Ok(());
+        };
+        Evaluator::new(gaussians).log_densities(standard, values)?;
+        if self.defence > 0 {
+            let share = self.defence as f64 / self.count as f64;
+            for (value, prior) in values.iter_mut().zip(log_prior) {
+                *value = log_sum(*value + (-share).ln_1p(), prior + share.ln());
+            }
+        }
+        Ok(())
+    }
+}
+
 /// `count` points of a sum, of which each component has its share to within one point.
 pub(super) fn draw(sum: &Mixture, count: usize, random: &mut FastStream) -> Result<Vec<f64>, OptimizerError> {
     let mut stream = Stream::new(random.random(), 0, Purpose::Optimizer, 0);
     Ok(sum.sample_systematic(count, &mut stream)?.points().to_vec())
+}
+
+/// ln(eᵃ + eᵇ).
+fn log_sum(a: f64, b: f64) -> f64 {
+    let (small, large) = if a < b { (a, b) } else { (b, a) };
+    if large == f64::NEG_INFINITY { large } else { large + (small - large).exp().ln_1p() }
 }
 
 /// Exponentials of log values over the largest; all zero where none is finite.
@@ -144,10 +222,11 @@ mod tests {
     fn shares_add_up_and_what_holds_nothing_is_left_out() {
         let sum = |x: f64| one(&[x, x + 1.0], &[0.0; 2], 1);
         let nothing = one(&[0.0, 1.0], &[f64::NEG_INFINITY; 2], 1);
-        let mixture = sum(0.0).defended([sum(5.0), nothing.clone()], 0.25).mixture().unwrap();
+        let shaped = Components::shaped([sum(5.0), nothing.clone()]).unwrap();
+        let mixture = sum(0.0).defended(shaped, 0.25).mixture().unwrap();
         let weights = mixture.weights();
         assert!((weights[0] - 0.25).abs() < 1e-12 && (weights[1] - 0.75).abs() < 1e-12);
         assert!((mixture.covariance_of(1)[0] / mixture.covariance_of(0)[0] - WIDENING).abs() < 1e-9);
-        assert_eq!(sum(0.0).defended([nothing.clone(), nothing], 0.25).mixture().unwrap().len(), 1);
+        assert!(Components::shaped([nothing.clone(), nothing]).is_none());
     }
 }

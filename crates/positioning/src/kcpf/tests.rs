@@ -56,17 +56,15 @@ fn the_valid_form_is_the_exact_filter_whatever_the_swarm_does() {
         assert!((ratio - 1.0).abs() < 0.05, "{id}: {ratio} of the exact error");
         let evidence = number(of(id), "log_evidence") - number(exact, "log_evidence");
         // The logarithm of an unbiased estimate is low by half its variance, and a run that misses a mode makes that
-        // large: a bootstrap of 500 particles is off by -1.1, of 2,000 by -0.06. The defensive proposal is off by -3.5
-        // at 2,000, which that does not explain.
-        assert!(evidence > -4.0 && evidence < 0.5, "{id}: log evidence off by {evidence}");
+        // large: a bootstrap of 500 particles is off by -1.1, of 2,000 by -0.06.
+        assert!(evidence.abs() < 1.0, "{id}: log evidence off by {evidence}");
         let coverage = of(id).summary.coverage95.unwrap() - exact.summary.coverage95.unwrap();
         assert!(coverage.abs() < 0.03, "{id}: coverage off by {coverage}");
     }
-    // All of the proposal on the prior should waste no more than the bootstrap, and wastes a fifth more: unexplained.
-    // A shaped one wastes less.
+    // All of the proposal on the prior is the bootstrap; a shaped one wastes less.
     let effective = |id| number(of(id), "n_eff");
     let share = effective("defensive") / effective("pf");
-    assert!((0.7..1.05).contains(&share), "{share}");
+    assert!((0.9..1.1).contains(&share), "{share}");
     assert!(effective("kcpf") > 1.5 * effective("pf"), "{}", effective("kcpf"));
 }
 
