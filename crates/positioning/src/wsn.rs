@@ -44,13 +44,6 @@ pub struct Wsn {
 }
 
 impl Wsn {
-    fn method(&self, id: &str) -> Result<&MethodSettings, PositioningError> {
-        self.method.get(id).ok_or_else(|| PositioningError::UnknownMethod {
-            method: id.to_owned(),
-            known: self.method.ids(),
-        })
-    }
-
     /// Before, during and after an outage.
     fn segments(&self) -> Vec<Segment> {
         let Some([first, last]) = self.world.outage else { return Vec::new() };
@@ -106,7 +99,7 @@ impl Scenario for Wsn {
 
     fn run(&self, (): &(), request: RunRequest<'_>) -> Result<RunResult, PositioningError> {
         let chosen: Vec<&MethodSettings> =
-            request.methods.iter().map(|id| self.method(id)).collect::<Result<_, _>>()?;
+            request.methods.iter().map(|id| self.method.named(id)).collect::<Result<_, _>>()?;
         let world = World::simulate(&self.world, request.seed, request.run);
         let mut methods = Vec::with_capacity(chosen.len());
         for (id, method) in request.methods.iter().zip(chosen) {
@@ -132,7 +125,7 @@ impl Scenario for Wsn {
     fn check(&self, (): &(), _seed: u64, methods: &[String]) -> Result<Vec<GraphSummary>, PositioningError> {
         let mut summaries = Vec::with_capacity(methods.len());
         for id in methods {
-            let method = self.method(id)?;
+            let method = self.method.named(id)?;
             let sensors = method.active.unwrap_or(usize::MAX).min(self.world.sensors as usize);
             let form = if method.algorithm.has_particles() {
                 format!("particles {}", method.count())
