@@ -384,19 +384,12 @@ impl<T: Motion> Rules for Transition<T> {
         if to == 1 { self.predict(view) } else { self.retrodict(view) }
     }
 
-    /// r = x' - f(x) with the process noise at x.
+    /// r = x' - f(x) with the process noise at x; directions that it leaves exact get a little noise.
     fn expand(&self, question: &mut Expansion) -> Result<(), MessageError> {
         let d = self.dimensions[0];
         question.expect(2 * d)?;
         let (before, after) = question.point.split_at(d);
-        let covariance = self.motion.noise(before).covariance();
-        let noise = Noise::gaussian(&covariance).map_err(|error| {
-            let reason = format!(
-                "its process noise leaves directions of the state exact, which a joint solve cannot hold ({error}); \
-                 give every direction some noise"
-            );
-            MessageError::Unsupported(reason)
-        })?;
+        let noise = Noise::held(self.motion.noise(before).covariance())?;
         let (next, jacobian) = self.linearise(before);
         let residual = after.iter().zip(&next).map(|(after, next)| after - next);
         question.residual.clear();

@@ -12,7 +12,7 @@ use sumprod_graph::{Engine, FactorGraph, Options, Space, VariableId};
 use sumprod_messages::DynamicGaussian;
 use sumprod_models::library::{AnchorRange, LinearGaussian, PosePrior, RelativePose};
 use sumprod_models::pose::Pose2;
-use sumprod_models::{AddModel, Noise};
+use sumprod_models::{AddModel, Motion, Noise, ProcessNoise, Real};
 
 /// A random linear graph: dimensions, and factors as (variables, entries).
 #[derive(Clone, Debug)]
@@ -248,4 +248,108 @@ fn methods_stand_side_by_side() {
         assert!(deviation.covariance_relative > Some(0.01), "{table}");
     }
     assert_eq!(table.to_string().lines().count(), 4);
+}
+
+/// Position and velocity, pushed by one source: two coordinates of noise of rank one.
+struct Pushed;
+
+impl Motion for Pushed {
+    fn dimension(&self) -> usize {
+        2
+    }
+
+    fn step<T: Real>(&self, state: &[T], next: &mut [T]) {
+        next[0] = state[0] + state[1] * 0.5;
+        next[1] = state[1];
+    }
+
+    fn noise(&self, _state: &[f64]) -> ProcessNoise {
+        ProcessNoise::driven(&[0.125, 0.5], &[0.8]).unwrap()
+    }
+}
+
+#[test]
+fn process_noise_of_lower_rank_is_held() {
+    const STEPS: usize = 30;
+    let mut graph = FactorGraph::<DynamicGaussian>::new();
+    let states: Vec<VariableId> = (0..STEPS).map(|_| graph.unnamed_variable(Space::real(2))).collect();
+    let unit: &[f64] = &[1.0, 0.0, 0.0, 1.0];
+    let prior = LinearGaussian::new(&[unit], &[1.0, -0.5], Noise::isotropic(2, 2.0).unwrap()).unwrap();
+    graph.add("prior", prior, &states[..1]).unwrap();
+    for pair in states.windows(2) {
+        graph.add_motion("motion", Pushed, pair[0], pair[1]).unwrap();
+    }
+    let observed = |k: usize| (0.7 * k as f64).sin() + 0.1 * k as f64;
+    for (k, state) in states.iter().enumerate() {
+        let noise = Noise::isotropic(1, 0.3).unwrap();
+        let seen = LinearGaussian::new(&[&[1.0, 0.0]], &[observed(k)], noise).unwrap();
+        graph.add("seen", seen, &[*state]).unwrap();
+    }
+    // The joint prior of all states, conditioned on what is seen.
+    let n = 2 * STEPS;
+    let step = DMatrix::from_row_slice(2, 2, &[1.0, 0.5, 0.0, 1.0]);
+    let push = DVector::from_column_slice(&[0.125, 0.5]) * 0.8f64.sqrt();
+    let (mut mean, mut root) = (DVector::zeros(n), DMatrix::zeros(n, 2 + STEPS));
+    mean.rows_mut(0, 2).copy_from_slice(&[1.0, -0.5]);
+    root.view_mut((0, 0), (2, 2)).copy_from(&(DMatrix::identity(2, 2) * 2f64.sqrt()));
+    for k in 1..STEPS {
+        let next = &step * mean.rows(2 * k - 2, 2);
+        mean.rows_mut(2 * k, 2).copy_from(&next);
+        let next = &step * root.rows(2 * k - 2, 2);
+        root.rows_mut(2 * k, 2).copy_from(&next);
+        root.view_mut((2 * k, k + 1), (2, 1)).copy_from(&push);
+    }
+    let covariance = &root * root.transpose();
+    let seen = DMatrix::from_fn(STEPS, n, |row, column| f64::from(u8::from(column == 2 * row)));
+    let innovation = DVector::from_fn(STEPS, |k, _| observed(k) - mean[2 * k]);
+    let spread = &seen * &covariance * seen.transpose() + DMatrix::identity(STEPS, STEPS) * 0.3;
+    let factor = spread.clone().cholesky().unwrap();
+    let gain = &covariance * seen.transpose() * factor.inverse();
+    let (mean, covariance) = (mean + &gain * &innovation, &covariance - &gain * &seen * &covariance);
+    let log_evidence = -0.5
+        * (innovation.dot(&factor.solve(&innovation))
+            + factor.determinant().ln()
+            + STEPS as f64 * std::f64::consts::TAU.ln());
+
+    let problem = Problem::new(&graph).unwrap();
+    let mut solution = problem.solve(problem.start(), &SolveOptions::default()).unwrap();
+    let marginals = solution.marginals().unwrap();
+    for (k, &state) in states.iter().enumerate() {
+        assert_close(solution.values().get(state), mean.rows(2 * k, 2).as_slice(), 1e-6, "mean");
+        let expected = covariance.view((2 * k, 2 * k), (2, 2)).into_owned();
+        assert_close(marginals.covariance(state), expected.as_slice(), 1e-6, "covariance");
+    }
+    let found = solution.log_evidence().unwrap();
+    assert!((found - log_evidence).abs() < 1e-5, "{found} expected {log_evidence}");
+}
+
+/// A coordinate that nothing moves.
+struct Still;
+
+impl Motion for Still {
+    fn dimension(&self) -> usize {
+        1
+    }
+
+    fn step<T: Real>(&self, state: &[T], next: &mut [T]) {
+        next[0] = state[0];
+    }
+
+    fn noise(&self, _state: &[f64]) -> ProcessNoise {
+        ProcessNoise::from_factor(1, &[])
+    }
+}
+
+#[test]
+fn an_exact_coordinate_is_refused_by_its_number() {
+    let mut graph = FactorGraph::<DynamicGaussian>::new();
+    let states: Vec<VariableId> = (0..2).map(|_| graph.unnamed_variable(Space::real(1))).collect();
+    graph.add_motion("still", Still, states[0], states[1]).unwrap();
+    let problem = Problem::new(&graph).unwrap();
+    let Err(error) = problem.solve(problem.start(), &SolveOptions::default()) else { panic!("solved") };
+    let said = error.to_string();
+    assert!(
+        said.contains("coordinate 0 of the state exact") && said.contains("variable of its own"),
+        "{said}"
+    );
 }
