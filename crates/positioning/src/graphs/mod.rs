@@ -195,7 +195,7 @@ impl Graphs {
         for id in ids {
             let settings = self.method.named(id)?;
             let mut answer = None;
-            let run = MethodRun::timed(id, marginals::layout(), |out| {
+            let mut run = MethodRun::timed(id, marginals::layout(), |out| {
                 match settings.run(prepared, out) {
                     Ok(found) => answer = Some(found),
                     // Messages may fail where a joint solve does not; the others' answers stand.
@@ -207,6 +207,11 @@ impl Graphs {
                 }
                 Ok(())
             })?;
+            if let (Some(answer), Inference::Joint) = (&answer, settings.inference) {
+                let problem = Problem::new(&prepared.graph).map_err(input)?;
+                let mirrored = mirror_images(&problem, &answer.values).map_err(input)?;
+                run.notes.extend(mirrored.iter().map(ToString::to_string));
+            }
             methods.push(run);
             answers.extend(answer.map(|answer| (id.clone(), answer)));
         }
