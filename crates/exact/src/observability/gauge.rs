@@ -167,8 +167,8 @@ pub(super) fn describe(
             for (&variable, place) in component.iter().zip(&places) {
                 if let Some(place) = *place {
                     let index = variable as usize;
-                    let value = &values.numbers[problem.layout.range(index)];
-                    step(place, motion, value, &mut vector[problem.layout.freedoms(index)]);
+                    let value = &values.numbers[problem.layout().range(index)];
+                    step(place, motion, value, &mut vector[problem.layout().freedoms(index)]);
                 }
             }
             let (image, bound) = squared_image(problem, values, &vector)?;
@@ -199,7 +199,7 @@ pub(super) fn describe(
     Ok(FreeDirections {
         variables: moving.iter().map(|&v| problem.variable_name(v as usize)).collect(),
         dimension,
-        remedy: remedy(&motions, axes, weakest),
+        remedy: remedy(&motions, axes, weakest, several && whole > 0),
         directions,
         apart: several && whole > 0,
     })
@@ -221,7 +221,7 @@ fn name_rest(
     for &variable in component {
         let index = variable as usize;
         let space = problem.space(index);
-        for (k, row) in problem.layout.freedoms(index).enumerate() {
+        for (k, row) in problem.layout().freedoms(index).enumerate() {
             let share: f64 = rest.iter().map(|vector| vector[row] * vector[row]).sum();
             if share < NAMED * rest.len() as f64 {
                 continue;
@@ -245,7 +245,7 @@ fn name_rest(
     weakest.map(|(_, name)| name)
 }
 
-fn remedy(motions: &[Motion], axes: usize, weakest: Option<String>) -> String {
+fn remedy(motions: &[Motion], axes: usize, weakest: Option<String>, apart: bool) -> String {
     let moved = |wanted: fn(&Motion) -> bool| motions.iter().filter(|motion| wanted(motion)).count();
     let along = moved(|motion| matches!(motion, Motion::Along(_)));
     let about = moved(|motion| matches!(motion, Motion::About(_)));
@@ -267,5 +267,6 @@ fn remedy(motions: &[Motion], axes: usize, weakest: Option<String>) -> String {
     if let Some(name) = weakest {
         remedies.push(format!("add a prior on, or a factor that measures, {name}"));
     }
-    remedies.join("; ")
+    let joined = if apart { "join them to the others by factors, or " } else { "" };
+    format!("{joined}{}", remedies.join("; "))
 }

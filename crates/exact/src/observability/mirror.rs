@@ -122,13 +122,13 @@ struct Search<'p, 'g> {
 
 impl Search<'_, '_> {
     fn loss(&mut self, factor: usize, values: &Values) -> Result<f64, ExactError> {
-        self.problem.expand(factor, values, false, &mut self.question, &mut self.chained)?;
+        self.problem.expand(factor, &values.numbers, false, &mut self.question, &mut self.chained)?;
         Ok(self.question.loss)
     }
 
     /// The known places that a factor refers to.
     fn places(&mut self, factor: usize, out: &mut Vec<[f64; 2]>) -> Result<(), ExactError> {
-        self.problem.expand(factor, self.values, false, &mut self.question, &mut self.chained)?;
+        self.problem.expand(factor, &self.values.numbers, false, &mut self.question, &mut self.chained)?;
         out.extend(
             self.question.places.iter().filter(|place| place.len() == 2).map(|place| [place[0], place[1]]),
         );
@@ -156,7 +156,7 @@ impl Search<'_, '_> {
         for &variable in variables {
             let Some(before) = self.position(variable) else { continue };
             let index = variable as usize;
-            let own = &mut mirrored.numbers[self.problem.layout.range(index)];
+            let own = &mut mirrored.numbers[self.problem.layout().range(index)];
             let Some(place) = Place::of(self.problem.space(index)) else { continue };
             reflect(place, mirror, own);
             let after = match place {

@@ -77,7 +77,7 @@ impl NullSpace {
         for vector in &self.basis {
             let mut own = vec![0.0; vector.len()];
             for &variable in component {
-                let range = problem.layout.freedoms(variable as usize);
+                let range = problem.layout().freedoms(variable as usize);
                 own[range.clone()].copy_from_slice(&vector[range]);
             }
             add_orthonormal(&mut kept, own, 1e-5);
@@ -166,7 +166,7 @@ fn gram(
     let mut images: Vec<Vec<f64>> = vec![Vec::new(); count];
     let (mut question, mut chained) = (Expansion::default(), Vec::new());
     for factor in 0..problem.factor_count() {
-        problem.expand(factor, values, true, &mut question, &mut chained)?;
+        problem.expand(factor, &values.numbers, true, &mut question, &mut chained)?;
         for (image, vector) in images.iter_mut().zip(vectors) {
             problem.image(factor, &question, vector, scale, image);
         }
@@ -191,13 +191,13 @@ pub(super) fn squared_image(
     let (mut sum, mut bound) = (0.0, 0.0);
     let unit = vec![1.0; vector.len()];
     for factor in 0..problem.factor_count() {
-        problem.expand(factor, values, true, &mut question, &mut chained)?;
+        problem.expand(factor, &values.numbers, true, &mut question, &mut chained)?;
         problem.image(factor, &question, vector, &unit, &mut image);
         sum += crate::solve::dot(&image, &image);
         let length: f64 = problem
             .ports(factor)
             .iter()
-            .map(|&v| vector[problem.layout.freedoms(v as usize)].iter().map(|x| x * x).sum::<f64>())
+            .map(|&v| vector[problem.layout().freedoms(v as usize)].iter().map(|x| x * x).sum::<f64>())
             .sum();
         bound += crate::solve::dot(&question.jacobian, &question.jacobian) * length;
     }
