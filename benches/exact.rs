@@ -1,5 +1,5 @@
 //! Joint solves on one core: pose graphs by Gauss-Newton from the file's values, alone and with every marginal covariance;
-//! a grid of two-dimensional variables; a long chain. The peers' workloads W1, W2 and W3.
+//! one of them again pose by pose; a grid of two-dimensional variables; a long chain. The peers' workloads W1, W2 and W3.
 //!
 //! Times include the analysis, linearisation, factorisation and steps; not reading the file or building the graph. Pose
 //! graphs are read below SUMPROD_DATA (default ../shared/data) and left out, aloud, where they are absent.
@@ -15,8 +15,9 @@ use rand_distr::{Distribution, StandardNormal};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use std::hint::black_box;
 use std::path::PathBuf;
-use sumprod::exact::read::GraphFile;
-use sumprod::exact::{Optimizer, Ordering, Problem, SolveOptions};
+use sumprod::exact::read::{GraphFile, Measurement};
+use sumprod::exact::{Incremental, Optimizer, Ordering, Problem, SolveOptions};
+use sumprod::models::pose::Pose2;
 use sumprod::prelude::*;
 
 type Error = Box<dyn std::error::Error>;
@@ -29,23 +30,30 @@ fn main() -> Result<(), Error> {
     ] {
         pose_graph(name)?;
     }
+    growing("pose_graphs_golden/M3500.g2o")?;
     for side in common::sizes(&[30, 100, 300]) {
         linear(&format!("grid of {side} x {side}, dimension 2"), &grid(side)?, Ordering::MinimumDegree)?;
     }
     linear("chain of 1000000, dimension 2", &chain(1_000_000)?, Ordering::Natural)
 }
 
-fn pose_graph(name: &str) -> Result<(), Error> {
+/// A recorded file, its first pose held; none, aloud, where it is absent.
+fn read(name: &str) -> Result<Option<GraphFile>, Error> {
     let data =
         std::env::var_os("SUMPROD_DATA").map_or_else(|| PathBuf::from("../shared/data"), PathBuf::from);
     let root = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../..");
     let Some(path) = [data.join(name), root.join(&data).join(name)].into_iter().find(|path| path.exists())
     else {
         println!("{name}: skipped, not below {}", data.display());
-        return Ok(());
+        return Ok(None);
     };
     let mut file = GraphFile::read(&path)?;
     file.hold(0, 1e-3, 1e-3)?;
+    Ok(Some(file))
+}
+
+fn pose_graph(name: &str) -> Result<(), Error> {
+    let Some(file) = read(name)? else { return Ok(()) };
     let graph = file.graph(PoseResidual::Log)?;
     let problem = Problem::new(&graph)?;
     let start = file.values(&problem)?.ok_or("the file has no values")?;
@@ -69,6 +77,54 @@ fn pose_graph(name: &str) -> Result<(), Error> {
         println!("{name}: cost {:.6} after {} steps", report.cost, report.iterations);
     }
     println!("  Gauss-Newton {solve}\n  with all marginal covariances {all}");
+    Ok(())
+}
+
+/// Pose by pose as a robot would: an update after each, the values of new poses by odometry.
+fn growing(name: &str) -> Result<(), Error> {
+    let Some(file) = read(name)? else { return Ok(()) };
+    let mut factors_of: Vec<Vec<usize>> = vec![Vec::new(); file.variables.len()];
+    for (number, factor) in file.factors.iter().enumerate() {
+        let last = factor.variables.iter().max().copied().ok_or("a factor without variables")?;
+        factors_of[last].push(number);
+    }
+    let (mut eliminated, mut relinearised, mut cost) = (0, 0, 0.0);
+    let all = Timing::of(3, || -> Result<(), Error> {
+        let (mut graph, mut smoother) = (FactorGraph::new(), Incremental::default());
+        let mut handles: Vec<VariableId> = Vec::new();
+        let mut pose = Pose2 { x: 0.0, y: 0.0, heading: 0.0 };
+        (eliminated, relinearised) = (0, 0);
+        for (variable, factors) in file.variables.iter().zip(&factors_of) {
+            handles.push(graph.variable(variable.name.clone(), variable.space.clone())?);
+            for &factor in factors {
+                let factor = &file.factors[factor];
+                file.add_factor(&mut graph, factor, &handles, PoseResidual::Log)?;
+                if let (Measurement::RelativePose(step), Some(last)) =
+                    (&factor.measurement, handles.len().checked_sub(2))
+                    && factor.variables[0] == last
+                {
+                    let from = smoother.value(handles[last])?;
+                    pose = Pose2 { x: from[0], y: from[1], heading: from[2] }.compose(&Pose2 {
+                        x: step[0],
+                        y: step[1],
+                        heading: step[2],
+                    });
+                }
+            }
+            let newest = handles[handles.len() - 1];
+            let update = smoother.update(&graph, &[(newest, &[pose.x, pose.y, pose.heading])])?;
+            eliminated += update.eliminated;
+            relinearised += update.relinearised;
+        }
+        smoother.settle(&graph, 1e-6, 20)?;
+        cost = Problem::new(&graph)?.cost(&smoother.values())?;
+        Ok(())
+    })?;
+    let updates = file.variables.len();
+    println!(
+        "{name} pose by pose, {updates} updates: {all}\n  {eliminated} variables eliminated, {relinearised} relinearised, \
+         cost {cost:.6}"
+    );
     Ok(())
 }
 

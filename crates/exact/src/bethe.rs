@@ -32,7 +32,7 @@ pub fn bethe_log_evidence(
     }
     let (mut question, mut chained) = (Expansion::default(), Vec::new());
     for (number, factor) in graph.factor_ids().enumerate() {
-        problem.expand(number, values, true, &mut question, &mut chained)?;
+        problem.expand(number, &values.numbers, true, &mut question, &mut chained)?;
         let rows = question.residual.len();
         let n = question.jacobian.len() / rows.max(1);
         let mut information = vec![0.0; n * n];

@@ -50,7 +50,7 @@ impl Problem<'_> {
         let wide = expansion.jacobian.len() / rows.max(1);
         let mut column = 0;
         for &variable in self.ports(factor) {
-            for row in self.layout.freedoms(variable as usize) {
+            for row in self.layout().freedoms(variable as usize) {
                 let x = vector[row] * scale[row];
                 for (k, image) in image.iter_mut().enumerate() {
                     *image += expansion.jacobian[k * wide + column] * x;

@@ -26,7 +26,7 @@ impl Problem<'_> {
         }
         let (mut question, mut chained) = (Expansion::default(), Vec::new());
         for factor in 0..self.factor_count() {
-            self.expand(factor, values, true, &mut question, &mut chained)?;
+            self.expand(factor, &values.numbers, true, &mut question, &mut chained)?;
             let rows = question.residual.len();
             let wide = question.jacobian.len() / rows.max(1);
             let failed = |source| ExactError::Factor { factor: self.factor_name(factor), source };
@@ -34,7 +34,7 @@ impl Problem<'_> {
             let mut matrices: Vec<Vec<f64>> = Vec::new();
             let ports: Vec<VariableId> = self.ports(factor).iter().map(|&v| handles[v as usize]).collect();
             for &variable in self.ports(factor) {
-                let d = self.layout.freedoms(variable as usize).len();
+                let d = self.layout().freedoms(variable as usize).len();
                 matrices.push(
                     (0..rows)
                         .flat_map(|row| question.jacobian[row * wide + start..][..d].iter().copied())

@@ -31,7 +31,7 @@ impl Normal {
         self.gradient.resize(structure.size(), 0.0);
         (self.cost, self.log_peak) = (0.0, 0.0);
         for factor in 0..problem.factor_count() {
-            problem.expand(factor, values, true, &mut self.question, &mut self.chained)?;
+            problem.expand(factor, &values.numbers, true, &mut self.question, &mut self.chained)?;
             self.cost += self.question.loss;
             self.log_peak += self.question.log_peak;
             let range =
@@ -53,7 +53,7 @@ impl Normal {
         let mut next = places.iter();
         let mut column = 0;
         for (p, &variable) in ports.iter().enumerate() {
-            let d = problem.layout.freedoms(variable as usize).len();
+            let d = problem.layout().freedoms(variable as usize).len();
             let first = structure.first[variable as usize] as usize;
             let gradient = &mut self.gradient[first..][..d];
             for (row, r) in jacobian.chunks_exact(wide).zip(residual) {
@@ -61,7 +61,7 @@ impl Normal {
             }
             let mut other_column = 0;
             for (&other, place) in ports[..=p].iter().zip(&mut next) {
-                let e = problem.layout.freedoms(other as usize).len();
+                let e = problem.layout().freedoms(other as usize).len();
                 let block = Block { jacobian, wide, rows: (column, d), columns: (other_column, e) };
                 if other == variable && other_column != column {
                     // One variable at two ports: the block and its transpose both lie on the diagonal.
@@ -84,7 +84,9 @@ impl Normal {
     fn culprit(&mut self, problem: &Problem<'_>, values: &Values) -> ExactError {
         let remedy = "start its variables where the residual is smooth";
         for factor in 0..problem.factor_count() {
-            if let Err(error) = problem.expand(factor, values, true, &mut self.question, &mut self.chained) {
+            if let Err(error) =
+                problem.expand(factor, &values.numbers, true, &mut self.question, &mut self.chained)
+            {
                 return error;
             }
             let Expansion { residual, jacobian, .. } = &self.question;

@@ -97,7 +97,12 @@ fn gather(front: &[f64], size: usize, local: &[usize], out: &mut [f64], n: usize
 }
 
 /// Fills a front whose lower right is known.
-fn own_block(top: MatRef<'_, f64>, bottom: MatRef<'_, f64>, slope: &mut Vec<f64>, front: MatMut<'_, f64>) {
+pub(crate) fn own_block(
+    top: MatRef<'_, f64>,
+    bottom: MatRef<'_, f64>,
+    slope: &mut Vec<f64>,
+    front: MatMut<'_, f64>,
+) {
     let (k, m) = (top.ncols(), bottom.nrows());
     let (own, right, below, rest) = front.split_at_mut(k, k);
     // Y' = L₁₁⁻ᵀ L₂₁'.

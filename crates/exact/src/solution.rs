@@ -94,7 +94,7 @@ impl<'p> Solution<'p> {
     /// Where the information at the values is singular.
     pub fn marginals(&mut self) -> Result<Marginals, ExactError> {
         self.refresh()?;
-        let layout = self.problem.layout.clone();
+        let layout = self.problem.shape.layout.clone();
         let mut pointer = Vec::with_capacity(layout.variables() + 1);
         let mut total = 0;
         for index in 0..layout.variables() {
@@ -146,7 +146,7 @@ impl<'p> Solution<'p> {
     /// Where a handle is of another graph, or the information at the values is singular.
     pub fn joint(&mut self, variables: &[VariableId]) -> Result<Moments, ExactError> {
         self.refresh()?;
-        let layout = &self.problem.layout;
+        let layout = self.problem.layout();
         if let Some(unknown) = variables.iter().find(|v| v.index() >= layout.variables()) {
             let (index, count) = (unknown.index(), layout.variables());
             return Err(ExactError::Request(format!("there is no variable {index}; the graph has {count}")));

@@ -102,7 +102,7 @@ impl Solver {
         start: Values,
         options: &SolveOptions,
     ) -> Result<Solution<'p>, ExactError> {
-        if shape(problem) != self.shape || start.layout != problem.layout {
+        if shape(problem) != self.shape || start.layout != problem.shape.layout {
             return Err(ExactError::Request("the solver or the values belong to another graph".into()));
         }
         Descent::new(problem, self.structure.clone(), start, options)?.run()

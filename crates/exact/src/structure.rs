@@ -48,11 +48,11 @@ pub(crate) struct Structure {
 impl Structure {
     /// Analyses a problem; near-linear in edges plus the factor's size.
     pub(crate) fn new(problem: &Problem<'_>, ordering: Ordering) -> Result<Self, ExactError> {
-        let layout = &problem.layout;
+        let layout = problem.layout();
         let count = layout.variables();
         let order = match ordering {
             Ordering::Natural => (0..count as u32).collect(),
-            Ordering::MinimumDegree => minimum_degree(problem)?,
+            Ordering::MinimumDegree => minimum_degree(count, |visit| each_factor(problem, visit))?,
         };
         let mut position = vec![0u32; count];
         let mut start = vec![0u32; count + 1];
@@ -60,7 +60,7 @@ impl Structure {
             position[variable as usize] = place as u32;
             start[place + 1] = start[place] + layout.freedoms(variable as usize).len() as u32;
         }
-        let (block_pointer, block_row) = blocks_below(problem, &position);
+        let (block_pointer, block_row) = blocks_below(&position, |visit| each_factor(problem, visit));
         let size = layout.size();
         let mut column_pointer = Vec::with_capacity(size + 1);
         let mut row_index = Vec::new();
@@ -97,7 +97,7 @@ impl Structure {
     pub(crate) fn unpermuted(&self, problem: &Problem<'_>, permuted: &[f64]) -> Vec<f64> {
         let mut out = vec![0.0; permuted.len()];
         for (variable, &first) in self.first.iter().enumerate() {
-            let own = problem.layout.freedoms(variable);
+            let own = problem.layout().freedoms(variable);
             let length = own.len();
             out[own].copy_from_slice(&permuted[first as usize..][..length]);
         }
@@ -111,13 +111,17 @@ impl Structure {
     }
 }
 
-/// Pairs of different variables that share a factor, as sorted lists of each variable's higher neighbours in the order
+/// Visits the variables of every factor.
+fn each_factor(problem: &Problem<'_>, visit: &mut dyn FnMut(&[u32])) {
+    (0..problem.factor_count()).for_each(|factor| visit(problem.ports(factor)));
+}
+
+/// Pairs of different variables that share a group, as sorted lists of each variable's higher neighbours in the order
 /// of `position`.
-fn blocks_below(problem: &Problem<'_>, position: &[u32]) -> (Vec<u32>, Vec<u32>) {
+fn blocks_below(position: &[u32], groups: impl Fn(&mut dyn FnMut(&[u32]))) -> (Vec<u32>, Vec<u32>) {
     let count = position.len();
     let each = |visit: &mut dyn FnMut(usize, u32)| {
-        for factor in 0..problem.factor_count() {
-            let ports = problem.ports(factor);
+        groups(&mut |ports| {
             for (p, &a) in ports.iter().enumerate() {
                 for &b in &ports[..p] {
                     let (a, b) = (position[a as usize], position[b as usize]);
@@ -126,7 +130,7 @@ fn blocks_below(problem: &Problem<'_>, position: &[u32]) -> (Vec<u32>, Vec<u32>)
                     }
                 }
             }
-        }
+        });
     };
     let mut pointer = vec![0u32; count + 1];
     each(&mut |low, _| pointer[low + 1] += 1);
@@ -200,11 +204,13 @@ fn places(
     (pointer, places)
 }
 
-/// Approximate minimum degree on the graph of variables.
-fn minimum_degree(problem: &Problem<'_>) -> Result<Vec<u32>, ExactError> {
-    let count = problem.variable_count();
+/// Approximate minimum degree on the graph of some variables, of which every group is joined pair by pair.
+pub(crate) fn minimum_degree(
+    count: usize,
+    groups: impl Fn(&mut dyn FnMut(&[u32])),
+) -> Result<Vec<u32>, ExactError> {
     let natural: Vec<u32> = (0..count as u32).collect();
-    let (pointer, rows) = blocks_below(problem, &natural);
+    let (pointer, rows) = blocks_below(&natural, groups);
     let pointer: Vec<usize> = pointer.iter().map(|&p| p as usize).collect();
     let rows: Vec<usize> = rows.iter().map(|&r| r as usize).collect();
     let pattern = SymbolicSparseColMatRef::new_checked(count, count, &pointer, None, &rows);

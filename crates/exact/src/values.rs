@@ -1,7 +1,7 @@
 //! A value for every variable of a problem.
 
 use crate::ExactError;
-use crate::problem::Layout;
+use crate::layout::Layout;
 use std::sync::Arc;
 use sumprod_graph::{Space, VariableId};
 use sumprod_models::Manifold;
@@ -14,15 +14,6 @@ pub struct Values {
 }
 
 impl Values {
-    /// The origin of every space: zeros, and poses without rotation.
-    pub(crate) fn origin(layout: Arc<Layout>) -> Self {
-        let mut numbers = vec![0.0; layout.coordinates()];
-        for index in 0..layout.variables() {
-            layout.space(index).origin(&mut numbers[layout.range(index)]);
-        }
-        Self { layout, numbers }
-    }
-
     /// The stored coordinates of a variable; empty where the handle is of another graph.
     pub fn get(&self, variable: VariableId) -> &[f64] {
         self.at(variable.index())

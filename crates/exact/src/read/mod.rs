@@ -195,12 +195,33 @@ impl GraphFile {
             handles.push(graph.variable(variable.name.clone(), variable.space.clone())?);
         }
         for factor in &self.factors {
-            let refused = |reason: String| ExactError::file(&self.path, factor.line, reason);
-            let noise = Noise::gaussian(&factor.covariance).map_err(|error| refused(error.to_string()))?;
-            let ports: Vec<VariableId> = factor.variables.iter().map(|&v| handles[v]).collect();
-            self.add(&mut graph, factor, noise, &ports, residual).map_err(refused)?;
+            self.add_factor(&mut graph, factor, &handles, residual)?;
         }
         Ok(graph)
+    }
+
+    /// Adds one of this file's factors to a graph, of which `handles` are the variables by their number in the file.
+    ///
+    /// # Errors
+    ///
+    /// Where a covariance is not positive definite, or a variable has no handle yet.
+    pub fn add_factor(
+        &self,
+        graph: &mut FactorGraph<DynamicGaussian>,
+        factor: &FileFactor,
+        handles: &[VariableId],
+        residual: PoseResidual,
+    ) -> Result<(), ExactError> {
+        let refused = |reason: String| ExactError::file(&self.path, factor.line, reason);
+        let noise = Noise::gaussian(&factor.covariance).map_err(|error| refused(error.to_string()))?;
+        let handle = |&number: &usize| {
+            handles
+                .get(number)
+                .copied()
+                .ok_or_else(|| refused(format!("variable {number} is not in the graph")))
+        };
+        let ports = factor.variables.iter().map(handle).collect::<Result<Vec<VariableId>, _>>()?;
+        self.add(graph, factor, noise, &ports, residual).map_err(refused)
     }
 
     fn add(

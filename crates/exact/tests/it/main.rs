@@ -3,6 +3,7 @@
 
 mod dense;
 mod golden;
+mod incremental;
 mod malformed;
 mod observability;
 mod pose_graphs;
