@@ -134,11 +134,12 @@ fn difference(a: &Answer, b: &Answer) -> f64 {
     all.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
 }
 
-/// Runs with all branches, which must be exact, and with few.
+/// Runs with all branches and with few. Even all are not exact: what is one Gaussian to within 1e-3 nats becomes one, which
+/// moves a probability by up to √(1e-3 / 2) (Pinsker).
 pub fn main() -> Result<(), Error> {
     let exact = enumerate();
     println!("probability of a jump, by enumeration: {:.3?}", exact.jumps);
-    for (branches, most) in [(4096, 1e-9), (8, 0.05), (2, 0.5)] {
+    for (branches, most) in [(4096, 0.022), (8, 0.05), (2, 0.5)] {
         let (answer, loss) = messages(branches)?;
         let off = difference(&answer, &exact);
         println!(

@@ -141,7 +141,8 @@ fn maxima_reach_the_recorded_beliefs() {
             }
         }
         let recorded = &golden["max_product_bp"]["max_marginals"];
-        fixed_point(&graph, &mut Coloured::new(), 0.0, |engine| {
+        // Maxima have several fixed points where couplings attract: the recorded one is that of damped flooding.
+        fixed_point(&graph, &mut Flooding, 0.5, |engine| {
             close(&probabilities(engine), recorded, 1e-9);
         });
     }
