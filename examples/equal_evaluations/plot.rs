@@ -46,5 +46,5 @@ pub fn draw(rows: &[Row]) -> Result<String, Failure> {
 }
 
 fn colour(number: usize) -> HSLColor {
-    HSLColor(number as f64 / ENTRIES.len() as f64, 0.75, if number % 2 == 0 { 0.4 } else { 0.55 })
+    HSLColor(number as f64 / ENTRIES.len() as f64, 0.75, if number.is_multiple_of(2) { 0.4 } else { 0.55 })
 }

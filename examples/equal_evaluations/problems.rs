@@ -14,10 +14,13 @@ use rand_distr::{Distribution, StandardNormal};
 
 use super::Failure;
 
-/// A problem: tracks run `run` with `count` particles moved by an optimizer, and adds the result to the tally.
+/// Tracks run `run` with `count` particles moved by an optimizer, and adds the result to the tally.
+type Track = fn(run: u64, count: usize, optimizer: Box<dyn Move>, tally: &mut Tally) -> Result<(), Failure>;
+
+/// A problem and how it is tracked.
 pub struct Problem {
     pub name: &'static str,
-    pub track: fn(u64, usize, Box<dyn Move>, &mut Tally) -> Result<(), Failure>,
+    pub track: Track,
 }
 
 pub const PROBLEMS: &[Problem] = &[

@@ -27,15 +27,7 @@ impl LogOdds {
 /// A move that matters: past [`SEEN`] either way there is no more to be seen of the lesser state.
 #[inline(always)]
 fn moved(now: f64, before: f64) -> f64 {
-    let clamp = |x: f64| {
-        if x > -SEEN {
-            -SEEN
-        } else if x < SEEN {
-            SEEN
-        } else {
-            x
-        }
-    };
+    let clamp = |x: f64| x.clamp(SEEN, -SEEN);
     (clamp(now) - clamp(before)).abs()
 }
 

@@ -77,11 +77,12 @@ impl<const D: usize> Fixed<D> {
     fn invert(self, out: &mut [f64]) -> Option<f64> {
         let mut inverse = [[0.0; D]; D];
         for row in 0..D {
-            inverse[row][row] = self.factor[row][row];
-            for column in 0..row {
-                let dot: f64 = (column..row).map(|k| self.factor[row][k] * inverse[k][column]).sum();
-                inverse[row][column] = -dot * self.factor[row][row];
+            let (above, below) = inverse.split_at_mut(row);
+            for (column, entry) in below[0][..row].iter_mut().enumerate() {
+                let dot: f64 = (column..row).map(|k| self.factor[row][k] * above[k][column]).sum();
+                *entry = -dot * self.factor[row][row];
             }
+            below[0][row] = self.factor[row][row];
         }
         for row in 0..D {
             for column in 0..=row {

@@ -139,11 +139,11 @@ proptest! {
         let incoming = Incoming::new(&messages, &messages, &variables);
         let streams = MessageStreams::new(1, 0, 0);
         factor.all_messages_into(&incoming, &forms, streams, &mut all).unwrap();
-        for to in 0..ports {
+        for (to, all) in all.iter().enumerate() {
             let expected = enumerated(&table, to, &states, temperature);
             let by_odds = as_states(&message(&factor, to, &messages, &form));
             assert_close(by_odds.logs(), &expected);
-            assert_close(as_states(&all[to]).logs(), &expected);
+            assert_close(as_states(all).logs(), &expected);
             assert_close(message(&factor, to, &states, &form).logs(), &expected);
         }
         let mut logs = LocalEvidence::default();

@@ -240,7 +240,7 @@ impl MethodSettings {
                 return Err(PositioningError::setting(key("particles"), problem));
             }
         }
-        if let Some(gate) = self.gate.filter(|gate| !(*gate > 0.0)) {
+        if let Some(gate) = self.gate.filter(|gate| gate.is_nan() || *gate <= 0.0) {
             let problem = format!("is {gate}; a number of standard deviations must be positive");
             return Err(PositioningError::setting(key("gate"), problem));
         }

@@ -175,7 +175,7 @@ impl WorldSettings {
         let vectors: [(&str, &[f64]); 3] =
             [("truth", &self.truth), ("prior_mean", &self.prior_mean), ("sink", &self.sink)];
         for (key, values) in vectors {
-            if let Some(index) = values.iter().position(|value| !(value.abs() <= LARGEST)) {
+            if let Some(index) = values.iter().position(|value| value.is_nan() || value.abs() > LARGEST) {
                 let problem =
                     format!("is {}; it must lie between -{LARGEST:e} and {LARGEST:e}", values[index]);
                 return wrong(format!("{key}[{index}]"), problem);
