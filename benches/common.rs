@@ -1,5 +1,5 @@
 //! What the benchmarks share: sizes from the command line, timing, random matrices.
-#![allow(dead_code)] // each benchmark uses a part
+#![allow(dead_code, reason = "each benchmark uses a part")]
 
 use nalgebra::Matrix2;
 use rand::RngExt;

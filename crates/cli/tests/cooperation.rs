@@ -1,7 +1,6 @@
 //! Wrong networks given to the program: one sentence that names the culprit, exit status 2; and one that changes form.
 
-// A test's helper may panic: that is how the test fails.
-#![allow(clippy::expect_used)]
+#![allow(clippy::expect_used, reason = "helpers of tests fail the test")]
 
 use std::process::{Command, Output};
 

@@ -4,8 +4,7 @@
 //! The recordings are sought in $SUMPROD_DATA, else in ../shared/data beside the workspace; where one is absent, its
 //! test says so and passes.
 
-// A test's helper may panic: that is how the test fails.
-#![allow(clippy::expect_used)]
+#![allow(clippy::expect_used, reason = "helpers of tests fail the test")]
 
 use std::fs;
 use std::path::{Path, PathBuf};

@@ -1,7 +1,6 @@
 //! Wrong input to the program: one sentence on standard error, exit status 2, nothing written.
 
-// A test's helper may panic: that is how the test fails.
-#![allow(clippy::expect_used)]
+#![allow(clippy::expect_used, reason = "helpers of tests fail the test")]
 
 use std::fs;
 use std::path::PathBuf;

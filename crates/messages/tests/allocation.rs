@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests fail the test")]
 
 #[path = "it/linear.rs"]
-#[allow(dead_code)]
+#[allow(dead_code, reason = "shared with the tests beside, which use the rest")]
 mod linear;
 
 use linear::Linear;

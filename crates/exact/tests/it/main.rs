@@ -1,5 +1,5 @@
 //! Exact answers against recorded ones and against dense algebra.
-#![allow(clippy::unwrap_used, clippy::panic, clippy::expect_used)]
+#![allow(clippy::unwrap_used, clippy::panic, clippy::expect_used, reason = "helpers of tests fail the test")]
 
 mod dense;
 mod golden;
