@@ -229,9 +229,14 @@ fn one_particle_and_a_likelihood_of_zero_are_no_accident() {
     let zero = |_: &[f64]| f64::NEG_INFINITY;
     let wrong = |x: &[f64]| if x[0] < 0.0 { f64::NAN } else { 0.0 };
     for (name, movement) in moves() {
-        let mut target = Target::new(&alone, &log_likelihood).unwrap();
-        let moved = movement.apply(&mut target, &mut stream(2, 0)).unwrap();
-        assert!(moved.particles.points().iter().all(|x| x.is_finite()), "{name}");
+        for known in [false, true] {
+            let mut target = Target::new(&alone, &log_likelihood).unwrap();
+            if known {
+                target = target.with_prior_density(&Prior);
+            }
+            let moved = movement.apply(&mut target, &mut stream(2, 0)).unwrap();
+            assert!(moved.particles.points().iter().all(|x| x.is_finite()), "{name}, {known}");
+        }
         let prior = prior(0, false);
         let mut target = Target::new(&prior, &zero).unwrap();
         let error = movement.apply(&mut target, &mut stream(2, 1)).unwrap_err().to_string();

@@ -134,7 +134,8 @@ impl<'a> Proposal<'a> {
         let (defence, gaussians) = match (prior, shaped) {
             (Some(_), None) => (count, None),
             (Some(_), Some(shaped)) => {
-                (((share * count as f64).round() as usize).clamp(1, count), Some(shaped))
+                let defence = ((share * count as f64).round() as usize).clamp(1, count);
+                (defence, (defence < count).then_some(shaped))
             }
             (None, None) => (0, Some(sum.clone())),
             (None, Some(shaped)) => (0, Some(sum.clone().defended(shaped, share))),
