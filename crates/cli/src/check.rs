@@ -5,6 +5,7 @@ use sumprod_positioning::scenario::{GraphSummary, Scenario};
 use crate::args::{CheckArguments, ScenarioArguments};
 use crate::document::Document;
 use crate::failure::Failure;
+use crate::print::print;
 use crate::setup::{self, Setup};
 use crate::systems::{Action, dispatch};
 
@@ -27,7 +28,7 @@ pub fn execute(arguments: &CheckArguments) -> Result<(), Failure> {
     let document = setup::document(&arguments.scenario, &[])?;
     let summaries = dispatch(&document, Check(&arguments.scenario))?;
     for summary in &summaries {
-        print!("{}", described(summary));
+        print(&described(summary))?;
     }
     match summaries.iter().find_map(|summary| summary.unconstrained.first()) {
         None => Ok(()),

@@ -3,6 +3,7 @@
 use crate::builtin::BUILTINS;
 use crate::document::Document;
 use crate::failure::Failure;
+use crate::print::print;
 use crate::table::{Align, Table};
 use sumprod_positioning::scenario::Scenario;
 
@@ -27,8 +28,7 @@ pub fn execute() -> Result<(), Failure> {
         let document = Document::parse(builtin.name, builtin.text, &[])?;
         table.row(dispatch(&document, Describe)?.to_vec());
     }
-    print!("{table}");
-    Ok(())
+    print(&table.to_string())
 }
 
 #[cfg(test)]

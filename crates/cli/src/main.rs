@@ -10,6 +10,7 @@ mod failure;
 mod list;
 mod output;
 mod plots;
+mod print;
 mod run;
 mod setup;
 mod systems;

@@ -143,3 +143,16 @@ fn a_range_only_graph_that_breaks_off_is_refused_with_its_line() {
         refused(&["run", "range-slam-small", "--data", file.name(), "--set", "method.mixture.samples=0"]);
     assert!(message.contains("`method.mixture.samples` is 0"), "{message}");
 }
+
+#[test]
+fn a_reader_that_has_seen_enough_is_no_failure() {
+    use std::process::Stdio;
+    for arguments in [&["list"][..], &["run", "coop-c3", "--runs", "1", "--method", "joint"]] {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_sumprod"));
+        let mut child =
+            command.args(arguments).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("it starts");
+        drop(child.stdout.take());
+        let output = child.wait_with_output().expect("it ends");
+        assert!(output.status.success() && output.stderr.is_empty(), "{output:?}");
+    }
+}

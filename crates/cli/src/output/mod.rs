@@ -60,6 +60,14 @@ impl Folder {
     }
 }
 
+impl Folder {
+    /// Removes what an earlier command left under a name that this one has nothing for.
+    fn remove(&self, name: &str) {
+        // Where it is not there, all is well.
+        let _ = fs::remove_file(self.path.join(name));
+    }
+}
+
 impl Drop for Folder {
     fn drop(&mut self) {
         let log = self.path.join(RUN_LOG);
@@ -92,7 +100,10 @@ pub fn write(folder: &Folder, wanted: &Output, report: &Report, runs: &[RunResul
     }
     if wanted.plots {
         for (name, svg) in plots::draw(report, runs, wanted)? {
-            folder.write(name, &svg)?;
+            match svg {
+                Some(svg) => folder.write(name, &svg)?,
+                None => folder.remove(name),
+            }
         }
     }
     folder.write("metrics.json", &(json(report)? + "\n"))

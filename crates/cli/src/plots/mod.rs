@@ -30,7 +30,7 @@ impl<E: Display> From<E> for DrawError {
     }
 }
 
-/// File names and contents of the plots that apply.
+/// File names and contents of the plots; none for one that does not apply.
 ///
 /// # Errors
 /// A plot that cannot be drawn.
@@ -38,7 +38,7 @@ pub fn draw(
     report: &Report,
     runs: &[RunResult],
     wanted: &Output,
-) -> Result<Vec<(&'static str, String)>, Failure> {
+) -> Result<Vec<(&'static str, Option<String>)>, Failure> {
     let plots = [
         ("trajectories.svg", trajectories::draw(report, runs, wanted)),
         ("error_cdf.svg", error_cdf::draw(report, runs)),
@@ -48,8 +48,7 @@ pub fn draw(
     let mut drawn = Vec::new();
     for (name, plot) in plots {
         match plot {
-            Ok(Some(svg)) => drawn.push((name, svg)),
-            Ok(None) => {}
+            Ok(svg) => drawn.push((name, svg)),
             Err(error) => return Err(Failure::running(format!("cannot draw {name}: {}", error.0))),
         }
     }

@@ -15,6 +15,7 @@ use crate::args::RunArguments;
 use crate::document::Document;
 use crate::failure::Failure;
 use crate::output::{self, Folder};
+use crate::print::print;
 use crate::setup::{self, Setup};
 use crate::systems::{Action, dispatch};
 
@@ -58,12 +59,7 @@ pub fn execute(arguments: &RunArguments) -> Result<(), Failure> {
     let runs = arguments.runs.map(|runs| format!("runs={runs}"));
     let document = setup::document(&arguments.scenario, runs.as_slice())?;
     let report = dispatch(&document, Run(arguments))?;
-    if arguments.json {
-        println!("{}", output::json(&report)?);
-    } else {
-        print!("{}", report::text(&report));
-    }
-    Ok(())
+    if arguments.json { print(&(output::json(&report)? + "\n")) } else { print(&report::text(&report)) }
 }
 
 /// Everything that decides what a run computes: the keys, the data as they are now, and this very program.
@@ -109,7 +105,7 @@ fn announce(log: &RunLog) {
         LogState::Resumed(runs) => eprintln!("note: {runs} runs were finished before and are not repeated"),
         LogState::Replaced => {
             eprintln!(
-                "note: the runs in the output folder are of another scenario or program and are replaced"
+                "note: the runs in the output folder are of another scenario, seed, choice of methods or program and are replaced"
             );
         }
     }
