@@ -58,6 +58,13 @@ pub struct RunArguments {
     #[arg(long, value_name = "N")]
     pub runs: Option<u32>,
 
+    /// Run every one of these values of a key, for instance world.steps=20,40,60, and print one table; may be
+    /// repeated for all combinations
+    ///
+    /// The values are separated by commas outside of brackets, braces and quotes, and read as those of --set.
+    #[arg(long, value_name = "KEY=A,B,C")]
+    pub sweep: Vec<String>,
+
     /// Folder for estimates.csv, metrics.json and plots; finished runs are kept there, and an interrupted command
     /// goes on from them
     #[arg(long, value_name = "DIR")]

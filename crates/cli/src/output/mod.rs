@@ -14,6 +14,7 @@ use sumprod_positioning::scenario::Output;
 
 use crate::failure::Failure;
 use crate::plots;
+use crate::run::Swept;
 
 pub use json::json;
 
@@ -107,4 +108,20 @@ pub fn write(folder: &Folder, wanted: &Output, report: &Report, runs: &[RunResul
         }
     }
     folder.write("metrics.json", &(json(report)? + "\n"))
+}
+
+/// Writes the reports of a sweep, and where `plots` says so a figure over the swept key.
+///
+/// # Errors
+/// A file that cannot be written, or a plot that cannot be drawn.
+pub fn write_sweep(folder: &Folder, plots: bool, swept: &Swept) -> Result<(), Failure> {
+    let drawn = match swept.curve().filter(|_| plots) {
+        Some((key, points)) => plots::draw_sweep(key, &points)?,
+        None => None,
+    };
+    match drawn {
+        Some(svg) => folder.write("sweep.svg", &svg)?,
+        None => folder.remove("sweep.svg"),
+    }
+    folder.write("metrics.json", &(json(swept)? + "\n"))
 }

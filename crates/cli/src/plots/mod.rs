@@ -5,6 +5,7 @@ mod error_cdf;
 mod over_time;
 mod scale;
 mod style;
+mod sweep;
 mod trajectories;
 
 use std::fmt::Display;
@@ -53,6 +54,14 @@ pub fn draw(
         }
     }
     Ok(drawn)
+}
+
+/// A figure over the values of a swept key; none where the report has none.
+///
+/// # Errors
+/// A plot that cannot be drawn.
+pub fn draw_sweep(key: &str, points: &[(f64, &Report)]) -> Result<Option<String>, Failure> {
+    sweep::draw(key, points).map_err(|error| Failure::running(format!("cannot draw the sweep: {}", error.0)))
 }
 
 /// Draws on a white page of this size (px) and returns the SVG text.

@@ -10,11 +10,12 @@ use super::{DrawError, page};
 
 const SIZE: (u32, u32) = (860, 480);
 /// Normal quantile of a two-sided 95 % interval.
-const TWO_SIDED: f64 = 1.96;
+pub(super) const TWO_SIDED: f64 = 1.96;
 /// NEES per degree of freedom outside these limits is cut: what matters is that it is far out.
 const NEES_LIMITS: (f64, f64) = (0.02, 200.0);
 
-type Curve = Vec<(f64, f64)>;
+/// Points of a curve.
+pub(super) type Curve = Vec<(f64, f64)>;
 
 /// Position error over time with its 95 % interval, and the bound.
 pub fn rmse(report: &Report) -> Result<Option<String>, DrawError> {
@@ -109,7 +110,7 @@ pub fn nees(report: &Report) -> Result<Option<String>, DrawError> {
 }
 
 /// The curves in the order of drawing.
-fn layers(curves: &[(String, Curve, Pen)]) -> Vec<&(String, Curve, Pen)> {
+pub(super) fn layers(curves: &[(String, Curve, Pen)]) -> Vec<&(String, Curve, Pen)> {
     let mut layers: Vec<_> = curves.iter().collect();
     layers.sort_by_key(|(_, _, pen)| pen.drawing_order());
     layers
@@ -138,7 +139,8 @@ fn time_scale(curves: &[(String, Curve, Pen)]) -> Scale {
     Scale::exact(first, last)
 }
 
-fn positive_scale<'a>(points: impl Iterator<Item = &'a (f64, f64)>) -> Scale {
+/// An axis that holds the positive ordinates.
+pub(super) fn positive_scale<'a>(points: impl Iterator<Item = &'a (f64, f64)>) -> Scale {
     let positive = points.map(|point| point.1).filter(|&value| value > 0.0);
     let (low, high) = positive.fold((f64::INFINITY, 0.0_f64), |(a, b), value| (a.min(value), b.max(value)));
     if high > 0.0 { Scale::positive(low, high) } else { Scale::linear(0.0, 1.0) }

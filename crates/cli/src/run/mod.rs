@@ -1,6 +1,7 @@
 //! `sumprod run`: all methods on the same runs, then a table, and files where a folder is named.
 
 mod report;
+mod sweep;
 
 use std::path::Path;
 use std::time::{Duration, UNIX_EPOCH};
@@ -18,21 +19,25 @@ use crate::output::{self, Folder};
 use crate::print::print;
 use crate::setup::{self, Setup};
 use crate::systems::{Action, dispatch};
+pub use sweep::Swept;
 
-struct Run<'a>(&'a RunArguments);
+/// One scenario, and the folder for its files.
+struct Run<'a> {
+    arguments: &'a RunArguments,
+    out: Option<&'a Path>,
+}
 
 impl Action for Run<'_> {
     type Output = Report;
 
     fn on<S: Scenario>(self, document: &Document) -> Result<Report, Failure> {
-        let arguments = self.0;
         let Setup { settings, scenario, methods, data, prepared } =
-            Setup::<S>::new(document, &arguments.scenario)?;
+            Setup::<S>::new(document, &self.arguments.scenario)?;
         let explain = |error: PositioningError| document.explain(error);
         let campaign =
             Campaign::new(&scenario, &prepared, settings.seed, settings.runs, &methods).map_err(explain)?;
 
-        let folder = arguments.out.as_deref().map(Folder::open).transpose()?;
+        let folder = self.out.map(Folder::open).transpose()?;
         let mut log = None;
         if let Some(folder) = &folder {
             let mark = fingerprint(&scenario, settings.seed, &methods, data.as_deref())?;
@@ -54,12 +59,18 @@ impl Action for Run<'_> {
     }
 }
 
-/// Runs the scenario and prints the metrics.
+/// Runs the scenario, or every point of its sweep, and prints the metrics.
 pub fn execute(arguments: &RunArguments) -> Result<(), Failure> {
     let runs = arguments.runs.map(|runs| format!("runs={runs}"));
-    let document = setup::document(&arguments.scenario, runs.as_slice())?;
-    let report = dispatch(&document, Run(arguments))?;
-    if arguments.json { print(&(output::json(&report)? + "\n")) } else { print(&report::text(&report)) }
+    let (json, text) = if arguments.sweep.is_empty() {
+        let document = setup::document(&arguments.scenario, runs.as_slice())?;
+        let report = dispatch(&document, Run { arguments, out: arguments.out.as_deref() })?;
+        (output::json(&report)?, report::text(&report))
+    } else {
+        let swept = sweep::run(arguments, runs.as_slice())?;
+        (output::json(&swept)?, sweep::text(&swept))
+    };
+    if arguments.json { print(&(json + "\n")) } else { print(&text) }
 }
 
 /// Everything that decides what a run computes: the keys, the data as they are now, and this very program.

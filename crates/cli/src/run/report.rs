@@ -4,10 +4,20 @@ use sumprod_positioning::metrics::{DiagnosticValue, MethodMetrics, Report, Stati
 
 use crate::table::{Align, Table, number};
 
-/// The table and its notes.
-pub fn text(report: &Report) -> String {
-    let runs = if report.runs == 1 { "1 run".to_owned() } else { format!("{} runs", report.runs) };
-    let mut table = Table::new(&[
+/// Figures that some systems report beside the common ones, with their columns.
+const OWN_COLUMNS: &[(&str, &str)] = &[
+    ("n_eff", "N_eff"),
+    ("association.correct", "correct"),
+    ("association.false", "false"),
+    ("disagreement", "disagreement [m]"),
+    ("claimed_trace", "claimed trace [m²]"),
+    ("clock_offset_rmse_s", "offset RMSE [s]"),
+    ("clock_skew_rmse_ppm", "skew RMSE [ppm]"),
+];
+
+/// The columns of the table of methods.
+pub fn columns() -> Vec<(&'static str, Align)> {
+    let common = [
         ("method", Align::Left),
         ("RMSE [m]", Align::Right),
         ("50 % [m]", Align::Right),
@@ -17,17 +27,19 @@ pub fn text(report: &Report) -> String {
         ("NEES/dof", Align::Right),
         ("in 95 % region", Align::Right),
         ("95 % width [m]", Align::Right),
-        ("N_eff", Align::Right),
-        ("time [s]", Align::Right),
-        ("calibrated?", Align::Left),
-    ]);
-    for (id, metrics) in &report.methods {
-        table.row(row(id, metrics));
+    ];
+    let own = OWN_COLUMNS.iter().map(|&(_, heading)| (heading, Align::Right));
+    let last = [("time of all runs [s]", Align::Right), ("calibrated?", Align::Left)];
+    common.into_iter().chain(own).chain(last).collect()
+}
+
+/// The table and its notes.
+pub fn text(report: &Report) -> String {
+    let mut table = Table::new(&columns());
+    for row in rows(report) {
+        table.row(row);
     }
-    if let Some(bound) = &report.bound {
-        table.row(vec!["bound".into(), statistic(&bound.position_rmse_m)]);
-    }
-    let mut text = format!("{}: {runs}, seed {}\n\n{table}", report.scenario, report.seed);
+    let mut text = format!("{}: {}, seed {}\n\n{table}", report.scenario, runs(report), report.seed);
     let remarks: Vec<String> = report.methods.iter().flat_map(|(id, metrics)| remarks(id, metrics)).collect();
     if !remarks.is_empty() {
         text.push('\n');
@@ -39,17 +51,27 @@ pub fn text(report: &Report) -> String {
     text
 }
 
+/// How many runs, in words.
+pub fn runs(report: &Report) -> String {
+    if report.runs == 1 { "1 run".to_owned() } else { format!("{} runs", report.runs) }
+}
+
+/// The rows of the table of methods.
+pub fn rows(report: &Report) -> Vec<Vec<String>> {
+    let mut rows: Vec<Vec<String>> = report.methods.iter().map(|(id, metrics)| row(id, metrics)).collect();
+    if let Some(bound) = &report.bound {
+        rows.push(vec!["bound".into(), statistic(&bound.position_rmse_m)]);
+    }
+    rows
+}
+
 fn row(id: &str, metrics: &MethodMetrics) -> Vec<String> {
     let summary = &metrics.summary;
     let quantile = |of: fn(&sumprod_positioning::metrics::Quantiles<f64>) -> f64| {
         summary.error_quantiles_m.as_ref().map_or(String::new(), |quantiles| number(of(quantiles)))
     };
-    let n_eff = match metrics.diagnostics.get("n_eff") {
-        Some(DiagnosticValue::Number(value)) => number(*value),
-        _ => String::new(),
-    };
     let calibration = metrics.calibration();
-    vec![
+    let mut cells = vec![
         id.to_owned(),
         summary.position_rmse_m.as_ref().or(summary.rmse_m.as_ref()).map_or(String::new(), statistic),
         quantile(|q| q.p50),
@@ -61,7 +83,9 @@ fn row(id: &str, metrics: &MethodMetrics) -> Vec<String> {
             .map_or(String::new(), |calibration| number(calibration.ratio)),
         summary.coverage95.map_or(String::new(), |share| format!("{:.1} %", 100.0 * share)),
         summary.width95.map_or(String::new(), number),
-        n_eff,
+    ];
+    cells.extend(OWN_COLUMNS.iter().map(|(name, _)| metrics.diagnostic(name).map_or(String::new(), number)));
+    cells.extend([
         number(metrics.seconds),
         match calibration.map(|calibration| calibration.verdict) {
             None => String::new(),
@@ -69,7 +93,8 @@ fn row(id: &str, metrics: &MethodMetrics) -> Vec<String> {
             Some(Verdict::Overconfident) => "no, over-confident".into(),
             Some(Verdict::Cautious) => "no, too cautious".into(),
         },
-    ]
+    ]);
+    cells
 }
 
 fn statistic(statistic: &Statistic<f64>) -> String {
@@ -87,27 +112,33 @@ fn statistic(statistic: &Statistic<f64>) -> String {
     }
 }
 
-/// One entry a number or array, those of a group under their dotted names.
-fn told(name: &str, value: &DiagnosticValue) -> Vec<String> {
+/// One name and value for a number or array, those of a group under their dotted names.
+fn told(name: &str, value: &DiagnosticValue) -> Vec<(String, String)> {
     let array = |values: &[f64]| {
         let values: Vec<String> = values.iter().map(|value| number(*value)).collect();
         format!("[{}]", values.join(" "))
     };
     match value {
-        DiagnosticValue::Number(value) => vec![format!("{name} {}", number(*value))],
+        DiagnosticValue::Number(value) => vec![(name.to_owned(), number(*value))],
         DiagnosticValue::Group(kinds) => {
-            kinds.iter().map(|(kind, value)| format!("{name}.{kind} {}", number(*value))).collect()
+            kinds.iter().map(|(kind, value)| (format!("{name}.{kind}"), number(*value))).collect()
         }
-        DiagnosticValue::List(values) => vec![format!("{name} {}", array(values))],
+        DiagnosticValue::List(values) => vec![(name.to_owned(), array(values))],
         DiagnosticValue::Lists(kinds) => {
-            kinds.iter().map(|(kind, values)| format!("{name}.{kind} {}", array(values))).collect()
+            kinds.iter().map(|(kind, values)| (format!("{name}.{kind}"), array(values))).collect()
         }
     }
 }
 
 fn remarks(id: &str, metrics: &MethodMetrics) -> Vec<String> {
-    let own = metrics.diagnostics.iter().filter(|(name, _)| *name != "n_eff");
-    let reported: Vec<String> = own.flat_map(|(name, value)| told(name, value)).collect();
+    let in_columns = |name: &str| OWN_COLUMNS.iter().any(|(column, _)| *column == name);
+    let reported: Vec<String> = metrics
+        .diagnostics
+        .iter()
+        .flat_map(|(name, value)| told(name, value))
+        .filter(|(name, _)| !in_columns(name))
+        .map(|(name, value)| format!("{name} {value}"))
+        .collect();
     let singular = metrics.summary.nees.as_ref().and_then(|nees| nees.position.as_ref()?.singular);
     let mut lines = Vec::new();
     if !reported.is_empty() {

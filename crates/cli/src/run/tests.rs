@@ -45,7 +45,7 @@ fn arguments(sets: &[&str], out: Option<&Scratch>) -> RunArguments {
 
 fn run(arguments: &RunArguments) -> Result<Report, Failure> {
     let document = setup::document(&arguments.scenario, &[])?;
-    dispatch(&document, Run(arguments))
+    dispatch(&document, Run { arguments, out: arguments.out.as_deref() })
 }
 
 #[test]
@@ -122,4 +122,34 @@ fn outputs_can_be_turned_off() {
     let scratch = Scratch::new("off");
     run(&arguments(&["runs=2", "output.plots=false", "output.estimates=false"], Some(&scratch))).unwrap();
     assert_eq!(scratch.files(), ["metrics.json", "runs.jsonl", "walk.txt"]);
+}
+
+#[test]
+fn a_sweep_runs_every_value_into_a_folder_of_its_own_and_prints_one_table() {
+    let scratch = Scratch::new("sweep");
+    let mut wanted = arguments(&["runs=3"], Some(&scratch));
+    wanted.sweep = vec!["world.process_variance=1,4".into()];
+    let swept = sweep::run(&wanted, &[]).unwrap();
+    let expected = ["metrics.json", "sweep.svg", "world.process_variance=1", "world.process_variance=4"];
+    assert_eq!(scratch.files(), expected);
+    assert!(scratch.0.join(expected[2]).join("estimates.csv").exists());
+    let text = sweep::text(&swept);
+    assert_eq!(text.lines().filter(|line| line.contains(" kf ")).count(), 2, "{text}");
+    let json: serde_json::Value =
+        serde_json::from_str(&fs::read_to_string(scratch.0.join("metrics.json")).unwrap()).unwrap();
+    assert_eq!(json["sweep"][1]["values"]["world.process_variance"], 4);
+    let alone = run(&arguments(&["runs=3", "world.process_variance=4"], None)).unwrap();
+    let figure = &json["sweep"][1]["methods"]["kf"]["position_rmse_m"]["mean"];
+    assert_eq!(figure.as_f64().unwrap(), alone.methods[0].1.summary.position_rmse_m.as_ref().unwrap().mean);
+}
+
+#[test]
+fn a_wrong_value_of_a_sweep_is_told_before_anything_runs() {
+    let scratch = Scratch::new("sweep-wrong");
+    let mut wanted = arguments(&["runs=3"], Some(&scratch));
+    wanted.sweep = vec!["world.process_variance=1,-4".into()];
+    let failure = sweep::run(&wanted, &[]).map(drop).unwrap_err();
+    assert_eq!(failure.status(), 2);
+    assert!(failure.sentence().contains("world.process_variance=-4"), "{}", failure.sentence());
+    assert!(!scratch.0.exists());
 }

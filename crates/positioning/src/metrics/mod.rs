@@ -155,6 +155,17 @@ impl Bound {
 }
 
 impl MethodMetrics {
+    /// A number that the system reports under this name, `group.kind` for one of a group.
+    #[must_use]
+    pub fn diagnostic(&self, name: &str) -> Option<f64> {
+        let (group, kind) = name.split_once('.').unwrap_or((name, ""));
+        match self.diagnostics.get(group)? {
+            DiagnosticValue::Number(value) if kind.is_empty() => Some(*value),
+            DiagnosticValue::Group(kinds) => kinds.get(kind).copied(),
+            _ => None,
+        }
+    }
+
     fn new(id: &str, runs: &[RunResult]) -> Result<Self, PositioningError> {
         let mine = collect(id, runs)?;
         let samples: Vec<Sample> =
