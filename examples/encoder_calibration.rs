@@ -1,7 +1,7 @@
 //! A model that has nothing to do with positions: gain and offset of a sensor whose reading wraps around.
 //!
 //! A torsion encoder shows gain × load + offset, but only up to whole turns. One reading leaves a family of parallel
-//! lines; these three, and the prior, leave one pair of gain and offset. The factor is eight lines and knows nothing of
+//! lines; these two, and the prior, leave three pairs of gain and offset that differ by whole turns. The factor is eight lines and knows nothing of
 //! mixtures; the edges hold what it says as mixtures, and a grid says what is exact.
 
 use sumprod::prelude::*;
@@ -20,8 +20,8 @@ impl Residual for Reading {
     fn residual<T: Real>(&self, x: &[&[T]], out: &mut [T]) { out[0] = x[0][0] * self.load + x[0][1] - self.shown; }
 }
 
-const READINGS: [(f64, f64); 3] = [(1.0, 1.45), (3.0, -2.4), (6.0, 1.2)];
-const SPREAD: [f64; 2] = [0.5, 0.8];
+const READINGS: [(f64, f64); 2] = [(1.0, 1.45), (6.0, 1.2)];
+const SPREAD: [f64; 2] = [1.0, 1.0];
 
 /// Log of the posterior at a gain and an offset, up to a constant.
 fn log_exact(gain: f64, offset: f64) -> f64 {

@@ -1,8 +1,11 @@
 //! Every optimizer at equal likelihood evaluations: error, coverage and seconds over budgets from 50 to 2,000.
 //!
-//! `cargo run --release --example equal_evaluations -- [RUNS] [FOLDER]` prints the table and writes
+//! `cargo run --release --example equal_evaluations -- [RUNS] [FOLDER] [WORD]…` prints the table and writes
 //! `equal-evaluations.svg` and `equal-evaluations.csv` to the folder (50 runs, and the present folder, where left
-//! out). All optimizers see the same draws of each problem.
+//! out). Words keep the problems whose name holds one of them, and likewise the optimizers; all, where none does. All
+//! optimizers see the same draws of each problem, so that runs are paired: `wins` is the share of runs whose error is
+//! smaller than the regularised filter's at the same budget, with one half for chance and a standard error of
+//! 0.5 / sqrt(runs).
 
 #[path = "equal_evaluations/plot.rs"]
 mod plot;
@@ -76,14 +79,28 @@ pub struct Row {
     name: &'static str,
     budget: usize,
     tally: Tally,
+    /// Share of runs nearer the truth than the regularised filter's.
+    wins: Option<f64>,
     seconds: f64,
 }
 
+/// What others are compared with, run by run.
+const REGULARISED: &str = "regularised";
+
+/// The names that hold one of the words; all, where none does.
+fn chosen<'a, T>(all: &'a [T], name: impl Fn(&T) -> &str, words: &[String]) -> Vec<&'a T> {
+    let named = |item: &&T| words.iter().any(|word| name(item).contains(word.as_str()));
+    let some: Vec<&T> = all.iter().filter(named).collect();
+    if some.is_empty() { all.iter().collect() } else { some }
+}
+
 /// Runs the comparison.
-fn compare(runs: u64, budgets: &[usize]) -> Result<Vec<Row>, Failure> {
+fn compare(runs: u64, budgets: &[usize], words: &[String]) -> Result<Vec<Row>, Failure> {
+    let entries = chosen(ENTRIES, |entry| entry.name, words);
+    let problems = chosen(PROBLEMS, |problem| problem.name, words);
     let of_problem = |problem: &'static Problem| -> Result<Vec<Row>, Failure> {
-        let mut rows = Vec::new();
-        for entry in ENTRIES {
+        let mut rows: Vec<Row> = Vec::new();
+        for entry in &entries {
             for &budget in budgets {
                 let (count, start) = ((budget / entry.evaluations).max(1), Instant::now());
                 let mut tally = Tally::default();
@@ -91,15 +108,20 @@ fn compare(runs: u64, budgets: &[usize]) -> Result<Vec<Row>, Failure> {
                     (problem.track)(run, count, (entry.make)()?, &mut tally)?;
                 }
                 let seconds = start.elapsed().as_secs_f64();
-                rows.push(Row { problem: problem.name, name: entry.name, budget, tally, seconds });
+                let (problem, name) = (problem.name, entry.name);
+                rows.push(Row { problem, name, budget, tally, wins: None, seconds });
             }
+        }
+        for k in 0..rows.len() {
+            let row = &rows[k];
+            let other = rows.iter().find(|other| other.name == REGULARISED && other.budget == row.budget);
+            rows[k].wins = other.map(|other| row.tally.wins_over(&other.tally));
         }
         Ok(rows)
     };
     let mut rows = Vec::new();
     std::thread::scope(|scope| -> Result<(), Failure> {
-        let threads: Vec<_> =
-            PROBLEMS.iter().map(|problem| scope.spawn(move || of_problem(problem))).collect();
+        let threads: Vec<_> = problems.iter().map(|problem| scope.spawn(|| of_problem(problem))).collect();
         for thread in threads {
             rows.extend(thread.join().map_err(|_| "a problem's thread stopped")??);
         }
@@ -109,12 +131,14 @@ fn compare(runs: u64, budgets: &[usize]) -> Result<Vec<Row>, Failure> {
 }
 
 fn table(rows: &[Row]) -> Result<String, std::fmt::Error> {
-    let mut text = String::from("problem,optimizer,budget,evaluations,rmse,se,coverage95,failed,seconds\n");
-    for Row { problem, name, budget, tally, seconds } in rows {
+    let mut text =
+        String::from("problem,optimizer,budget,evaluations,rmse,se,coverage95,wins,failed,seconds\n");
+    for Row { problem, name, budget, tally, wins, seconds } in rows {
         let (rmse, error) = tally.rmse();
+        let wins = wins.map_or(String::new(), |wins| format!("{wins:.3}"));
         writeln!(
             text,
-            "{problem},\"{name}\",{budget},{:.0},{rmse:.4},{error:.4},{:.3},{},{seconds:.2}",
+            "\"{problem}\",\"{name}\",{budget},{:.0},{rmse:.4},{error:.4},{:.3},{wins},{},{seconds:.2}",
             tally.evaluations_a_step(),
             tally.coverage(),
             tally.failed
@@ -128,7 +152,8 @@ pub fn main() -> Result<(), Failure> {
     let mut arguments = std::env::args().skip(1);
     let runs = arguments.next().map_or(Ok(50), |text| text.parse::<u64>())?;
     let folder = std::path::PathBuf::from(arguments.next().unwrap_or_else(|| ".".into()));
-    let rows = compare(runs.max(2), &BUDGETS)?;
+    let words: Vec<String> = arguments.collect();
+    let rows = compare(runs.max(2), &BUDGETS, &words)?;
     let text = table(&rows)?;
     print!("{text}");
     std::fs::create_dir_all(&folder)?;
@@ -140,7 +165,7 @@ pub fn main() -> Result<(), Failure> {
 /// The comparison in small, for the tests: every optimizer runs on every problem.
 #[cfg(test)]
 pub fn in_small() -> Result<(), Failure> {
-    let rows = compare(2, &[60])?;
+    let rows = compare(2, &[60], &[])?;
     let whole = rows.len() == PROBLEMS.len() * ENTRIES.len() && plot::draw(&rows)?.contains("</svg>");
     whole.then_some(()).ok_or_else(|| "some optimizer is missing".into())
 }

@@ -94,6 +94,19 @@ impl Tally {
         (mean.sqrt(), (variance / n).sqrt() / (2.0 * mean.sqrt()))
     }
 
+    /// Share of runs whose error is smaller than in `other`, ties by halves.
+    pub fn wins_over(&self, other: &Self) -> f64 {
+        let pairs = self.squares.iter().zip(&other.squares);
+        let won: f64 = pairs
+            .map(|(mine, theirs)| match mine.total_cmp(theirs) {
+                std::cmp::Ordering::Less => 1.0,
+                std::cmp::Ordering::Equal => 0.5,
+                std::cmp::Ordering::Greater => 0.0,
+            })
+            .sum();
+        won / self.squares.len() as f64
+    }
+
     /// Share of coordinates inside the central 95 % interval of the particles.
     pub fn coverage(&self) -> f64 {
         self.covered as f64 / self.scored as f64

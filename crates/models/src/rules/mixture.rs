@@ -18,6 +18,7 @@ use crate::small::{Matrix, Vector, multiply, transpose, zero_vector, zeros};
 use crate::{Linearised, Ring};
 use rand::RngExt;
 use senders::{Combination, Senders, combinations};
+use std::f64::consts::PI;
 use sumprod_graph::{Coordinate, MessageError, Port, Stream, wrap_angle};
 use sumprod_messages::{Cholesky, Mixture, MixtureForm, MixtureMessage, Moments, Potential};
 
@@ -45,7 +46,7 @@ pub(crate) fn message<T: Rules + Linearised>(
     };
     let target = Target { model, coordinates };
     if let Some(Moments { mean, covariance }) = view.moments(to)
-        && target.deviation(&combinations, &mean, &covariance)? <= LINEAR
+        && target.deviation(&combinations, &mean, &covariance)?.line_serves()
     {
         return target.linear(&combinations, &mean, form, loss);
     }
@@ -114,6 +115,21 @@ struct Line {
     covariance: Matrix,
 }
 
+/// How far a residual is from its line over a belief.
+struct Deviation {
+    /// In standard deviations of the residual, whole turns of angles apart.
+    miss: f64,
+    /// Of an angle, where the belief reaches beyond half a turn: the standard deviation (rad) that the coordinates
+    /// other than angles give it. Its line is right only to within the turn.
+    turning: f64,
+}
+
+impl Deviation {
+    fn line_serves(&self) -> bool {
+        self.miss <= LINEAR && self.turning == 0.0
+    }
+}
+
 impl Target<'_> {
     fn dimension(&self) -> usize {
         self.coordinates.len()
@@ -139,16 +155,17 @@ impl Target<'_> {
     }
 
     /// How far the residual is from its line at `mean`, in its own standard deviations, at two standard deviations
-    /// of `covariance` along each column of its root: the largest over the heaviest senders.
+    /// of `covariance` along each column of its root, and how far its angles turn: the largest over the heaviest
+    /// senders.
     fn deviation(
         &self,
         combinations: &[Combination],
         mean: &[f64],
         covariance: &[f64],
-    ) -> Result<f64, MessageError> {
+    ) -> Result<Deviation, MessageError> {
         let d = self.dimension();
         let root = Cholesky::new(covariance, d, "the belief's covariance")?;
-        let mut largest: f64 = 0.0;
+        let mut largest = Deviation { miss: 0.0, turning: 0.0 };
         for senders in combinations.iter().take(HEAVIEST) {
             let line = self.line(senders, mean);
             let m = line.residual.len();
@@ -169,7 +186,21 @@ impl Target<'_> {
                     for &angle in self.model.angles() {
                         value[angle] = wrap_angle(value[angle]);
                     }
-                    largest = largest.max(factor.squared_length(&mut value).sqrt());
+                    largest.miss = largest.miss.max(factor.squared_length(&mut value).sqrt());
+                }
+            }
+            for &angle in self.model.angles() {
+                // A turn that an angle of the receiver makes leads back to the same place.
+                let straight: Vector = (0..d)
+                    .map(|k| match self.coordinates[k] {
+                        Coordinate::Angle => 0.0,
+                        _ => line.jacobian[angle * d + k],
+                    })
+                    .collect();
+                let moved = multiply(covariance, &straight, d, 1);
+                let spread = straight.iter().zip(&moved).map(|(j, v)| j * v).sum::<f64>().max(0.0).sqrt();
+                if line.residual[angle].abs() + 2.0 * spread > PI {
+                    largest.turning = largest.turning.max(spread);
                 }
             }
         }

@@ -269,6 +269,51 @@ fn angles_are_covered_once_around() {
     assert!(distance < 0.03, "{distance}");
 }
 
+/// An angle that grows with a coordinate which is none: a prior that spans whole turns keeps every one of them.
+struct Turns(Noise);
+
+impl Residual for Turns {
+    fn dimensions(&self) -> &[usize] {
+        &[2]
+    }
+    fn noise(&self) -> &Noise {
+        &self.0
+    }
+    fn angles(&self) -> &[usize] {
+        &[0]
+    }
+    fn residual<T: Real>(&self, x: &[&[T]], out: &mut [T]) {
+        out[0] = x[0][0] * 3.0 + x[0][1] - 0.4;
+    }
+}
+
+#[test]
+fn a_prior_that_spans_whole_turns_of_a_linear_residual_keeps_them_all() {
+    let plane = Space::real(2);
+    let covariance = vec![1.5, 0.4, 0.4, 0.8];
+    let prior = Mixture::new(&plane, vec![0.0], vec![0.3, -0.2], covariance).unwrap();
+    let mut graph = FactorGraph::<MixtureMessage>::new();
+    let x = graph.variable("x", plane).unwrap();
+    graph.set_prior(x, prior.clone().into()).unwrap();
+    let factor = graph.add("turns", Turns(noise(0.04)), &[x]).unwrap();
+    graph.set_edge_form(factor, 0, MixtureForm::new(300)).unwrap();
+    let mut engine = Engine::new(&graph, Options { max_iterations: 1, ..Options::default() }).unwrap();
+    engine.run(&mut Flooding).unwrap();
+    let belief = engine.belief(x).to_density().unwrap();
+    let grid = plane_grid([0.3, -0.2], 6.0, 240);
+    let exact: Vec<f64> = grid
+        .iter()
+        .map(|x| {
+            let away = wrap_angle(3.0 * x[0] + x[1] - 0.4);
+            prior.log_density(x).unwrap() - 0.5 * away * away / 0.04
+        })
+        .collect();
+    let found: Vec<f64> = grid.iter().map(|x| belief.log_density(x).unwrap()).collect();
+    let distance = total_variation(&found, &exact);
+    println!("{} components, distance {distance:.4}", belief.len());
+    assert!(distance < 0.08, "{distance}");
+}
+
 /// On a linear chain the mixture form is the Gaussian form, smoother included, to rounding.
 #[test]
 fn a_linear_chain_of_mixtures_is_exact() {

@@ -24,6 +24,9 @@ const EXTENT: f64 = 4.0;
 /// Deviation from the line two standard deviations of a window away, in standard deviations of the residual.
 const WITHIN: f64 = 2.0 * LINEAR;
 
+/// How far an angle that turns goes over two standard deviations of a window: a quarter of a turn.
+const TURN_WITHIN: f64 = 0.5 * PI;
+
 /// A lattice around one component of the belief.
 struct Lattice {
     mean: Vector,
@@ -93,8 +96,9 @@ fn lattices(
         .map(|i| {
             let deviation = target.deviation(senders, guide.mean_of(i), guide.covariance_of(i))?;
             let root = Cholesky::new(marginal.covariance_of(i), read.len(), "the belief's covariance")?;
-            // A line's miss grows with the square of the distance.
-            let mut spacing = (WITHIN / deviation.max(1e-9)).sqrt().min(1.0);
+            // A line's miss grows with the square of the distance, an angle with the distance.
+            let mut spacing = (WITHIN / deviation.miss.max(1e-9)).sqrt().min(1.0);
+            spacing = spacing.min(0.5 * TURN_WITHIN / deviation.turning.max(1e-9));
             while points(spacing, read.len()) > room.max(1) as f64 && spacing < EXTENT {
                 spacing *= 1.1;
             }
