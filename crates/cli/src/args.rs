@@ -39,7 +39,7 @@ pub struct ScenarioArguments {
     pub data: Option<PathBuf>,
 
     /// Seed of all random draws
-    #[arg(long)]
+    #[arg(long, allow_negative_numbers = true)]
     pub seed: Option<u64>,
 
     /// Override a key, for instance world.steps=20; may be repeated
@@ -55,7 +55,7 @@ pub struct RunArguments {
     pub scenario: ScenarioArguments,
 
     /// Number of runs
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
     pub runs: Option<u32>,
 
     /// Run every one of these values of a key, for instance world.steps=20,40,60, and print one table; may be

@@ -20,13 +20,14 @@ impl Action for Describe {
     }
 }
 
-/// Prints name, description and methods of each.
+/// Prints name, description and, below, the methods of each.
 pub fn execute() -> Result<(), Failure> {
-    let mut table =
-        Table::new(&[("scenario", Align::Left), ("about", Align::Left), ("methods", Align::Left)]);
+    let mut table = Table::new(&[("scenario", Align::Left), ("about, and its methods", Align::Left)]);
     for builtin in BUILTINS {
         let document = Document::parse(builtin.name, builtin.text, &[])?;
-        table.row(dispatch(&document, Describe)?.to_vec());
+        let [name, about, methods] = dispatch(&document, Describe)?;
+        table.row(vec![name, about]);
+        table.row(vec![String::new(), format!("  {methods}")]);
     }
     print(&table.to_string())
 }

@@ -62,6 +62,7 @@ pub fn number(value: f64) -> String {
     let size = value.abs();
     match size {
         _ if value == 0.0 => "0".to_owned(),
+        1e7.. => format!("{value:.1e}"),
         1000.0.. => format!("{value:.0}"),
         100.0.. => format!("{value:.1}"),
         1.0.. => format!("{value:.2}"),
@@ -90,7 +91,7 @@ pa-mpa         38.2
 
     #[test]
     fn numbers_keep_their_significant_digits() {
-        let shown = [0.0, 12345.6, 123.45, 6.3149, 0.08127, 0.000_123].map(number);
-        assert_eq!(shown, ["0", "12346", "123.5", "6.31", "0.081", "1.2e-4"]);
+        let shown = [0.0, 1.23e34, 12345.6, 123.45, 6.3149, 0.08127, 0.000_123].map(number);
+        assert_eq!(shown, ["0", "1.2e34", "12346", "123.5", "6.31", "0.081", "1.2e-4"]);
     }
 }

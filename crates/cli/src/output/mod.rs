@@ -38,6 +38,11 @@ impl Folder {
         Ok(Self { path: path.to_path_buf(), made })
     }
 
+    /// Where it is.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
     /// Opens the file of finished runs, which shows as well that the folder can be written to.
     ///
     /// # Errors
@@ -88,26 +93,36 @@ fn unwritable(path: &Path, error: &std::io::Error) -> Failure {
     Failure::input(format!("--out {}: cannot write there ({reason}); choose another folder", path.display()))
 }
 
-/// Writes the metrics, the system's own files, and the estimates and plots as `wanted` says.
+/// Writes the metrics, the system's own files, and the estimates and plots as `wanted` says; returns their names.
 ///
 /// # Errors
 /// A file that cannot be written, or a plot that cannot be drawn.
-pub fn write(folder: &Folder, wanted: &Output, report: &Report, runs: &[RunResult]) -> Result<(), Failure> {
+pub fn write(
+    folder: &Folder,
+    wanted: &Output,
+    report: &Report,
+    runs: &[RunResult],
+) -> Result<Vec<String>, Failure> {
+    let mut files = Vec::new();
     if wanted.estimates {
-        folder.write("estimates.csv", &estimates::csv(runs))?;
+        files.push(("estimates.csv".to_owned(), estimates::csv(runs)));
     }
     for file in runs.first().iter().flat_map(|run| &run.files) {
-        folder.write(&file.name, &file.contents)?;
+        files.push((file.name.clone(), file.contents.clone()));
     }
     if wanted.plots {
         for (name, svg) in plots::draw(report, runs, wanted)? {
             match svg {
-                Some(svg) => folder.write(name, &svg)?,
+                Some(svg) => files.push((name.to_owned(), svg)),
                 None => folder.remove(name),
             }
         }
     }
-    folder.write("metrics.json", &(json(report)? + "\n"))
+    files.push(("metrics.json".to_owned(), json(report)? + "\n"));
+    for (name, contents) in &files {
+        folder.write(name, contents)?;
+    }
+    Ok(files.into_iter().map(|(name, _)| name).collect())
 }
 
 /// Writes the reports of a sweep, and where `plots` says so a figure over the swept key.

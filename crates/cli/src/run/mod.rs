@@ -53,7 +53,8 @@ impl Action for Run<'_> {
         let results = results.map_err(explain)?;
         let report = Report::new(&settings.name, settings.seed, &results).map_err(explain)?;
         if let Some(folder) = folder {
-            output::write(&folder, &settings.output, &report, &results)?;
+            let names = output::write(&folder, &settings.output, &report, &results)?;
+            eprintln!("note: {} now holds {}", folder.path().display(), names.join(", "));
         }
         Ok(report)
     }

@@ -15,6 +15,9 @@ const OWN_COLUMNS: &[(&str, &str)] = &[
     ("clock_skew_rmse_ppm", "skew RMSE [ppm]"),
 ];
 
+/// What the last column means.
+const VERDICT: &str = "\ncalibrated: the errors are as large as the method says, by NEES/dof near 1 and 95 % of truths inside the 95 %\nregion, as far as this many runs can tell\n";
+
 /// The columns of the table of methods.
 pub fn columns() -> Vec<(&'static str, Align)> {
     let common = [
@@ -41,6 +44,9 @@ pub fn text(report: &Report) -> String {
     }
     let mut text = format!("{}: {}, seed {}\n\n{table}", report.scenario, runs(report), report.seed);
     let remarks: Vec<String> = report.methods.iter().flat_map(|(id, metrics)| remarks(id, metrics)).collect();
+    if report.methods.iter().any(|(_, metrics)| metrics.calibration().is_some()) {
+        text.push_str(VERDICT);
+    }
     if !remarks.is_empty() {
         text.push('\n');
         for remark in remarks {
