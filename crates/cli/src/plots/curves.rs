@@ -87,8 +87,19 @@ impl<'a, 'b> Plot<'a, 'b> {
     }
 
     /// Draws a closed outline with a pale filling, unless it reaches over the edge; then the part inside is outlined.
+    /// One that is larger than the plot is left out: nothing of its shape would show.
     pub fn outline(&mut self, points: &[(f64, f64)], pen: Pen) -> Result<(), DrawError> {
         let (xs, ys) = (self.x.range(), self.y.range());
+        let extent = |of: fn(&(f64, f64)) -> f64| {
+            let ends =
+                points.iter().map(of).fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), value| {
+                    (low.min(value), high.max(value))
+                });
+            ends.1 - ends.0
+        };
+        if extent(|point| point.0) > xs.end - xs.start || extent(|point| point.1) > ys.end - ys.start {
+            return Ok(());
+        }
         if points.iter().all(|&(x, y)| xs.contains(&x) && ys.contains(&y)) {
             self.chart.draw_series([Polygon::new(points.to_vec(), pen.colour.mix(0.14).filled())])?;
         }

@@ -10,7 +10,7 @@ mod mirror;
 mod null_space;
 mod words;
 
-pub use mirror::{MirrorImage, mirror_images};
+pub use mirror::{Mirror, MirrorImage, mirror_images};
 
 use crate::{ExactError, Problem, Values};
 use null_space::NullSpace;

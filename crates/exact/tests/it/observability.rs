@@ -181,6 +181,44 @@ fn a_mirror_ambiguity() {
     assert_eq!(mirror_images(&problem, &values).unwrap(), []);
 }
 
+/// Three known points on a surface leave a fourth two places, above it and below.
+#[test]
+fn a_mirror_ambiguity_in_space() {
+    let build = |fourth: Option<[f64; 3]>| {
+        let mut graph = Graph::new();
+        let space = Space::real(3);
+        let x = graph.variable("x", space.clone()).unwrap();
+        for (k, place) in
+            [[0.0, 0.0, 0.0], [10.0, 0.0, 0.0], [2.0, 9.0, 0.0]].into_iter().chain(fourth).enumerate()
+        {
+            let anchor = graph.variable(format!("anchor {k}"), space.clone()).unwrap();
+            graph.add("place", Prior::new(&space, &place, noise(3)).unwrap(), &[anchor]).unwrap();
+            let range = Range::new(8.0, [3, 3], [[0, 1, 2]; 2], noise(1)).unwrap();
+            graph.add("range", range, &[anchor, x]).unwrap();
+        }
+        (graph, x)
+    };
+    for (fourth, expected) in [(None, 1), (Some([3.0, 3.0, 6.0]), 0)] {
+        let (graph, x) = build(fourth);
+        let problem = Problem::new(&graph).unwrap();
+        let mut values = problem.start();
+        values.set(x, &[4.0, 3.0, -5.0]).unwrap();
+        let places = [[0.0, 0.0, 0.0], [10.0, 0.0, 0.0], [2.0, 9.0, 0.0], [3.0, 3.0, 6.0]];
+        for (name, place) in (0..).map(|k| format!("anchor {k}")).zip(places) {
+            if let Some(anchor) = graph.find(&name) {
+                values.set(anchor, &place).unwrap();
+            }
+        }
+        let images = mirror_images(&problem, &values).unwrap();
+        assert_eq!(images.len(), expected);
+        for image in images {
+            assert_eq!(image.variables, ["x"]);
+            assert!((image.distance - 10.0).abs() < 1e-12);
+            assert!(image.to_string().contains("off that plane"), "{image}");
+        }
+    }
+}
+
 #[test]
 fn one_agent_that_flips_about_its_neighbours() {
     let mut graph = Graph::new();
