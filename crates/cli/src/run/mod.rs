@@ -117,7 +117,7 @@ fn announce(log: &RunLog) {
         LogState::Resumed(runs) => eprintln!("note: {runs} runs were finished before and are not repeated"),
         LogState::Replaced => {
             eprintln!(
-                "note: the runs in the output folder are of another scenario, seed, choice of methods or program and are replaced"
+                "note: the runs in the output folder are of another scenario, seed, choice of methods or program; they are kept in runs.before.jsonl"
             );
         }
     }

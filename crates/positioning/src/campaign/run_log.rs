@@ -15,6 +15,9 @@ use crate::results::RunResult;
 /// Version of the file's layout.
 const VERSION: u32 = 1;
 
+/// Extension under which the runs of another scenario are kept once.
+const BEFORE: &str = "before.jsonl";
+
 /// What must be the same for runs to belong together. The number of runs is not part of it, so that a campaign can
 /// be extended.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -38,7 +41,8 @@ pub enum LogState {
     New,
     /// It had this many whole runs.
     Resumed(usize),
-    /// It belongs to another scenario or program, and the first finished run replaces it.
+    /// It belongs to another scenario or program. The first finished run replaces it, and what it held is kept beside it
+    /// with the extension `before.jsonl`.
     Replaced,
 }
 
@@ -111,6 +115,10 @@ impl RunLog {
     /// [`PositioningError::File`].
     pub fn append(&mut self, result: &RunResult) -> Result<(), PositioningError> {
         if let Some(header) = self.header.take() {
+            if self.state == LogState::Replaced {
+                std::fs::copy(&self.path, self.path.with_extension(BEFORE))
+                    .map_err(|source| self.failure(source))?;
+            }
             self.cut(0)?;
             self.line(&header)?;
         }

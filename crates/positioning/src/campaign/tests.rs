@@ -169,6 +169,9 @@ fn another_scenario_starts_afresh() {
     let log = RunLog::open(&scratch.0, &fingerprint("y")).unwrap();
     campaign(&Toy::new(None), 1).run(Some(log), &|_, _| {}).unwrap();
     assert_eq!(RunLog::open(&scratch.0, &fingerprint("y")).unwrap().state(), LogState::Resumed(1));
+    let before = scratch.0.with_extension("before.jsonl");
+    assert_eq!(RunLog::open(&before, &fingerprint("x")).unwrap().state(), LogState::Resumed(2));
+    fs::remove_file(before).unwrap();
 }
 
 #[test]
