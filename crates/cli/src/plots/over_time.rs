@@ -48,20 +48,38 @@ pub fn rmse(report: &Report) -> Result<Option<String>, DrawError> {
     let note = if regions.is_empty() { "" } else { "; shaded: 95 % interval over the runs" };
     let subtitle = format!("Root mean square over {}, nodes pooled{note}", runs(report));
     let title = format!("{}: position error over time", report.scenario);
+    let axes = Axes { x: time_scale(&curves), y, names: ("time [s]", "position RMSE [m]") };
+    shaded_curves(&title, &subtitle, axes, &regions, &curves).map(Some)
+}
+
+/// The scales of a plot and their names.
+pub(super) struct Axes<'a> {
+    pub x: Scale,
+    pub y: Scale,
+    pub names: (&'a str, &'a str),
+}
+
+/// A page with curves above shaded regions, and their legend.
+pub(super) fn shaded_curves(
+    title: &str,
+    subtitle: &str,
+    axes: Axes<'_>,
+    regions: &[(Curve, Curve, Pen)],
+    curves: &[(String, Curve, Pen)],
+) -> Result<String, DrawError> {
     let entries = curves.iter().map(|(label, _, pen)| (Key::Line(*pen), label.clone())).collect::<Vec<_>>();
-    let svg = page(SIZE, |area| {
-        let body = style::heading(area, &title, &subtitle)?;
+    page(SIZE, |area| {
+        let body = style::heading(area, title, subtitle)?;
         let (plot, side) = body.split_horizontally(SIZE.0 - style::legend_width(&entries));
-        let mut plot = Plot::new(&plot, time_scale(&curves), y, ("time [s]", "position RMSE [m]"))?;
-        for (low, high, pen) in &regions {
+        let mut plot = Plot::new(&plot, axes.x, axes.y, axes.names)?;
+        for (low, high, pen) in regions {
             plot.region(low, high, pen.colour.mix(0.13).filled())?;
         }
-        for (_, curve, pen) in layers(&curves) {
+        for (_, curve, pen) in layers(curves) {
             plot.line(curve, *pen)?;
         }
         style::legend(&side, &entries)
-    })?;
-    Ok(Some(svg))
+    })
 }
 
 /// Position NEES per degree of freedom over time, with the band that a consistent method keeps to.
@@ -110,7 +128,7 @@ pub fn nees(report: &Report) -> Result<Option<String>, DrawError> {
 }
 
 /// The curves in the order of drawing.
-pub(super) fn layers(curves: &[(String, Curve, Pen)]) -> Vec<&(String, Curve, Pen)> {
+fn layers(curves: &[(String, Curve, Pen)]) -> Vec<&(String, Curve, Pen)> {
     let mut layers: Vec<_> = curves.iter().collect();
     layers.sort_by_key(|(_, _, pen)| pen.drawing_order());
     layers

@@ -1,15 +1,11 @@
 //! A figure of every method over the values of a swept key.
 
-use plotters::style::Color;
 use sumprod_positioning::metrics::{MethodMetrics, Report};
 
-use super::curves::Plot;
-use super::over_time::{Curve, TWO_SIDED, layers, positive_scale};
+use super::DrawError;
+use super::over_time::{Axes, Curve, TWO_SIDED, positive_scale, shaded_curves};
 use super::scale::Scale;
-use super::style::{self, Key, Pen};
-use super::{DrawError, page};
-
-const SIZE: (u32, u32) = (860, 480);
+use super::style::Pen;
 
 /// A figure of a method and its standard error.
 type Figure = fn(&MethodMetrics) -> Option<(f64, Option<f64>)>;
@@ -46,21 +42,9 @@ pub fn draw(key: &str, points: &[(f64, &Report)]) -> Result<Option<String>, Draw
     }
     let (Some(&(low, _)), Some(&(high, _))) = (points.first(), points.last()) else { return Ok(None) };
     let y = positive_scale(curves.iter().flat_map(|(_, curve, _)| curve));
-    let entries: Vec<_> = curves.iter().map(|(id, _, pen)| (Key::Line(*pen), id.clone())).collect();
     let runs = if first.runs == 1 { "1 run".to_owned() } else { format!("{} runs", first.runs) };
-    let svg = page(SIZE, |area| {
-        let title = format!("{}: {name} by {key}", first.scenario);
-        let subtitle = format!("{runs} at each of {} values; shaded: 95 % interval", points.len());
-        let body = style::heading(area, &title, &subtitle)?;
-        let (plot, side) = body.split_horizontally(SIZE.0 - style::legend_width(&entries));
-        let mut plot = Plot::new(&plot, Scale::exact(low, high), y, (key, name))?;
-        for (low, high, pen) in &regions {
-            plot.region(low, high, pen.colour.mix(0.13).filled())?;
-        }
-        for (_, curve, pen) in layers(&curves) {
-            plot.line(curve, *pen)?;
-        }
-        style::legend(&side, &entries)
-    })?;
-    Ok(Some(svg))
+    let title = format!("{}: {name} by {key}", first.scenario);
+    let subtitle = format!("{runs} at each of {} values; shaded: 95 % interval", points.len());
+    let axes = Axes { x: Scale::exact(low, high), y, names: (key, name) };
+    shaded_curves(&title, &subtitle, axes, &regions, &curves).map(Some)
 }
