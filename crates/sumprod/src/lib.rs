@@ -28,6 +28,7 @@ mod book;
 pub use nalgebra;
 pub use sumprod_exact as exact;
 pub use sumprod_filters as filters;
+pub use sumprod_fusion as fusion;
 pub use sumprod_graph as graph;
 pub use sumprod_messages as messages;
 pub use sumprod_models as models;
