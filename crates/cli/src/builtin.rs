@@ -28,6 +28,9 @@ pub const BUILTINS: &[Builtin] = &[
     Builtin { name: "kcpf-growth", text: include_str!("../scenarios/kcpf-growth.toml") },
     Builtin { name: "kcpf-turn", text: include_str!("../scenarios/kcpf-turn.toml") },
     Builtin { name: "wsn-walk", text: include_str!("../scenarios/wsn-walk.toml") },
+    Builtin { name: "fusion-star", text: include_str!("../scenarios/fusion-star.toml") },
+    Builtin { name: "fusion-hierarchy", text: include_str!("../scenarios/fusion-hierarchy.toml") },
+    Builtin { name: "fusion-ring", text: include_str!("../scenarios/fusion-ring.toml") },
     Builtin { name: "graph", text: include_str!("../scenarios/graph.toml") },
     #[cfg(test)]
     Builtin { name: "walk", text: include_str!("testing/walk.toml") },

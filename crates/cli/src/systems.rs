@@ -1,6 +1,7 @@
 //! The one list of systems: which Rust type reads and runs the scenario files of which `system`.
 
 use sumprod_positioning::cooperation::Cooperation;
+use sumprod_positioning::fusion::Fusion;
 use sumprod_positioning::graphs::Graphs;
 use sumprod_positioning::kcpf::growth::Growth;
 use sumprod_positioning::kcpf::turn::Turn;
@@ -40,6 +41,7 @@ pub const SYSTEMS: &[&str] = &[
     RadioWalk::SYSTEM,
     Graphs::SYSTEM,
     Wsn::SYSTEM,
+    Fusion::SYSTEM,
     #[cfg(test)]
     crate::testing::Walk::SYSTEM,
 ];
@@ -59,6 +61,7 @@ pub fn dispatch<A: Action>(document: &Document, action: A) -> Result<A::Output, 
         RadioWalk::SYSTEM => action.on::<RadioWalk>(document),
         Graphs::SYSTEM => action.on::<Graphs>(document),
         Wsn::SYSTEM => action.on::<Wsn>(document),
+        Fusion::SYSTEM => action.on::<Fusion>(document),
         #[cfg(test)]
         crate::testing::Walk::SYSTEM => action.on::<crate::testing::Walk>(document),
         unknown => {

@@ -12,6 +12,7 @@
 //! | [`pmpa`] | one target among known nodes: Kalman, particle and message-passing filters |
 //! | [`product`] | products of recorded mixtures, by several methods |
 //! | [`range_slam`] | landmarks located by ranges alone, by mixtures |
+//! | [`fusion`] | one target seen by nodes that tell each other what they believe |
 //! | [`wsn`] | one target among range sensors: iterated Kalman, particle and optimizer-driven filters |
 //! | [`robots`] | robots located on recorded data |
 //! | [`kcpf`] | the growth model and the coordinated turn of the knowledge-board paper |
@@ -23,6 +24,7 @@ pub mod cooperation;
 mod costs;
 pub mod error;
 pub mod form;
+pub mod fusion;
 pub mod graphs;
 pub mod kcpf;
 pub mod metrics;
