@@ -7,6 +7,8 @@ mod encoder_calibration;
 mod equal_evaluations;
 #[path = "../examples/filters.rs"]
 mod filters;
+#[path = "../examples/fusion.rs"]
+mod fusion;
 #[path = "../examples/hidden_markov.rs"]
 mod hidden_markov;
 #[path = "../examples/ising_denoising.rs"]
@@ -48,6 +50,7 @@ mod of {
     run!(
         encoder_calibration,
         filters,
+        fusion,
         hidden_markov,
         ising_denoising,
         kcpf,

@@ -15,7 +15,7 @@ use super::method::{Exchange, MethodSettings};
 use super::structure::{Phase, Structure};
 use super::world::{World, WorldSettings};
 use crate::error::PositioningError;
-use crate::results::MethodRun;
+use crate::results::{DiagnosticSeries, MethodRun};
 
 type Node = FusionNode<Gaussian<2>>;
 type Estimate = (Vector2<f64>, Matrix2<f64>);
@@ -210,13 +210,13 @@ impl Fallback {
     }
 }
 
-/// Sums over the scored steps.
+/// Figures of the scored steps.
 #[derive(Default)]
 struct Score {
-    steps: u32,
-    squared_error: f64,
-    squared_disagreement: f64,
-    trace: f64,
+    steps: Vec<u32>,
+    squared_error: Vec<f64>,
+    squared_disagreement: Vec<f64>,
+    trace: Vec<f64>,
     nodes: usize,
     mean_difference: Option<f64>,
     covariance_difference: f64,
@@ -235,14 +235,16 @@ impl Score {
         let truth = world.truth[step as usize - 1];
         let count = estimates.len() as f64;
         let middle = estimates.iter().map(|(_, (mean, _))| mean).sum::<Vector2<f64>>() / count;
-        self.steps += 1;
+        let average =
+            |of: &dyn Fn(&Estimate) -> f64| estimates.iter().map(|(_, e)| of(e)).sum::<f64>() / count;
+        self.steps.push(step);
         self.nodes = estimates.len();
+        self.squared_error.push(average(&|(mean, _)| (mean - truth).norm_squared()));
+        self.squared_disagreement.push(average(&|(mean, _)| (mean - middle).norm_squared()));
+        self.trace.push(average(&|(_, covariance)| covariance.trace()));
         for (node, (mean, covariance)) in estimates {
             let time = f64::from(step) * settings.interval;
             out.push(step, time, *node as u32, truth.as_slice(), mean.as_slice(), covariance.as_slice())?;
-            self.squared_error += (mean - truth).norm_squared() / count;
-            self.squared_disagreement += (mean - middle).norm_squared() / count;
-            self.trace += covariance.trace() / count;
             if let Some((best, spread)) = central {
                 let difference = (mean - best).amax();
                 self.mean_difference = Some(self.mean_difference.unwrap_or(0.0).max(difference));
@@ -253,15 +255,23 @@ impl Score {
     }
 
     fn report(self, out: &mut MethodRun) {
-        let steps = f64::from(self.steps.max(1));
-        out.diagnose("run_rmse_m", (self.squared_error / steps).sqrt());
-        out.diagnose("claimed_trace", self.trace / steps);
+        let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len().max(1) as f64;
+        out.diagnose("run_rmse_m", mean(&self.squared_error).sqrt());
+        out.diagnose("claimed_trace", mean(&self.trace));
         if self.nodes > 1 {
-            out.diagnose("disagreement", (self.squared_disagreement / steps).sqrt());
+            out.diagnose("disagreement", mean(&self.squared_disagreement).sqrt());
         }
         if let Some(difference) = self.mean_difference {
             out.diagnose("centralised_difference", difference);
             out.diagnose("centralised_covariance_difference", self.covariance_difference);
+        }
+        let mut by_step = vec![("claimed_trace", self.trace)];
+        if self.nodes > 1 {
+            let roots = self.squared_disagreement.iter().map(|square| square.sqrt()).collect();
+            by_step.push(("disagreement", roots));
+        }
+        for (name, values) in by_step {
+            out.series.push(DiagnosticSeries { name: name.to_owned(), steps: self.steps.clone(), values });
         }
     }
 }
