@@ -12,11 +12,13 @@ use std::collections::BTreeMap;
 
 use crate::InformationSet;
 
-/// A belief's set as a sum of other sets: which of those at hand, and how often; negative is divided out.
+/// A set as a sum of others: which of those at hand, and how often; negative is divided out.
 pub type Terms = Vec<(usize, i32)>;
 
 /// Sets looked at before the search is given up: what people and programs make takes tens.
 const ATTEMPTS: u32 = 20_000;
+/// Overlaps of overlaps before the search is given up.
+const DEPTH: u32 = 64;
 
 /// Writes `target` as a signed sum of sets at hand; none where they do not suffice. The empty set is the empty sum.
 ///
@@ -24,68 +26,69 @@ const ATTEMPTS: u32 = 20_000;
 /// set at hand that equals the target is found in one pass; beyond that the work grows with the number of nested
 /// overlaps, and ends after a fixed number of attempts.
 pub fn express(target: &InformationSet, at_hand: &[&InformationSet]) -> Option<Terms> {
-    let mut attempts = ATTEMPTS;
-    let mut sum = BTreeMap::new();
-    write(target, at_hand, 1, &mut sum, &mut attempts)?;
+    let mut search = Search { at_hand, attempts: ATTEMPTS };
+    let mut sum = Sum::new();
+    search.write(target, 1, DEPTH, &mut sum)?;
     Some(sum.into_iter().filter(|(_, count)| *count != 0).collect())
 }
 
-/// Adds `sign` times the target to `sum`.
-fn write(
-    target: &InformationSet,
-    at_hand: &[&InformationSet],
-    sign: i32,
-    sum: &mut BTreeMap<usize, i32>,
-    attempts: &mut u32,
-) -> Option<()> {
-    if target.is_empty() {
-        return Some(());
-    }
-    if let Some(found) = at_hand.iter().position(|set| *set == target) {
-        *sum.entry(found).or_default() += sign;
-        return Some(());
-    }
-    let mut inside: Vec<usize> =
-        (0..at_hand.len()).filter(|&k| !at_hand[k].is_empty() && at_hand[k].is_subset(target)).collect();
-    inside.sort_by_key(|&k| Reverse(at_hand[k].len()));
-    // A start that leads nowhere is left out.
-    while !inside.is_empty() {
-        if join(target, at_hand, &inside, sign, sum, attempts)? {
-            return Some(());
-        }
-        inside.remove(0);
-    }
-    None
+type Sum = BTreeMap<usize, i32>;
+
+fn add(sum: &mut Sum, terms: Sum) {
+    terms.into_iter().for_each(|(set, count)| *sum.entry(set).or_default() += count);
 }
 
-/// Joins the sets `inside` in their order, each without what it shares with those before it, and adds `sign` times the
-/// join to `sum` where it is the target. None where the attempts are used up.
-fn join(
-    target: &InformationSet,
-    at_hand: &[&InformationSet],
-    inside: &[usize],
-    sign: i32,
-    sum: &mut BTreeMap<usize, i32>,
-    attempts: &mut u32,
-) -> Option<bool> {
-    let mut covered = InformationSet::new();
-    let mut joined = BTreeMap::<usize, i32>::new();
-    for &k in inside {
-        *attempts = attempts.checked_sub(1)?;
-        if at_hand[k].is_subset(&covered) {
-            continue;
+struct Search<'a> {
+    at_hand: &'a [&'a InformationSet],
+    attempts: u32,
+}
+
+impl Search<'_> {
+    /// Adds `sign` times the target to `sum`.
+    fn write(&mut self, target: &InformationSet, sign: i32, depth: u32, sum: &mut Sum) -> Option<()> {
+        if target.is_empty() {
+            return Some(());
         }
-        let mut overlap = BTreeMap::new();
-        if write(&covered.intersection(at_hand[k]), at_hand, -sign, &mut overlap, attempts).is_none() {
-            continue;
+        if let Some(found) = self.at_hand.iter().position(|set| *set == target) {
+            *sum.entry(found).or_default() += sign;
+            return Some(());
         }
-        *joined.entry(k).or_default() += sign;
-        overlap.into_iter().for_each(|(other, count)| *joined.entry(other).or_default() += count);
-        covered = covered.union(at_hand[k]);
-        if covered == *target {
-            joined.into_iter().for_each(|(other, count)| *sum.entry(other).or_default() += count);
-            return Some(true);
+        let depth = depth.checked_sub(1)?;
+        let within = |k: &usize| !self.at_hand[*k].is_empty() && self.at_hand[*k].is_subset(target);
+        let mut inside: Vec<usize> = (0..self.at_hand.len()).filter(within).collect();
+        inside.sort_by_key(|&k| Reverse(self.at_hand[k].len()));
+        // A start that leads nowhere is left out.
+        for start in 0..inside.len() {
+            if let Some(joined) = self.join(target, &inside[start..], sign, depth) {
+                add(sum, joined);
+                return Some(());
+            }
         }
+        None
     }
-    Some(false)
+
+    /// `sign` times the join of the sets `inside`, each without what it shares with those before it, where that is the
+    /// target.
+    fn join(&mut self, target: &InformationSet, inside: &[usize], sign: i32, depth: u32) -> Option<Sum> {
+        let mut covered = InformationSet::new();
+        let mut joined = Sum::new();
+        for &k in inside {
+            self.attempts = self.attempts.checked_sub(1)?;
+            let next = self.at_hand[k];
+            if next.is_subset(&covered) {
+                continue;
+            }
+            let mut overlap = Sum::new();
+            if self.write(&covered.intersection(next), -sign, depth, &mut overlap).is_none() {
+                continue;
+            }
+            *joined.entry(k).or_default() += sign;
+            add(&mut joined, overlap);
+            covered = covered.union(next);
+            if covered == *target {
+                return Some(joined);
+            }
+        }
+        None
+    }
 }

@@ -7,11 +7,10 @@
 
 use std::fmt;
 
-use serde::{Deserialize, Serialize};
 use smallvec::SmallVec;
 
 /// One piece of information: an observation, or the common prior.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Item {
     /// Who observed.
     pub source: u32,
@@ -39,7 +38,7 @@ impl fmt::Display for Item {
 }
 
 /// Observations `first` to `end` - 1 of a source.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 struct Range {
     source: u32,
     first: u64,
@@ -47,7 +46,7 @@ struct Range {
 }
 
 /// A set of [`Item`]s. All operations are linear in the number of ranges.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
 pub struct InformationSet {
     /// Ascending, disjoint, none touching the next of its source.
     ranges: SmallVec<[Range; 7]>,

@@ -9,6 +9,7 @@
 //! Source: Chong, Mori, "Graphical models for nonlinear distributed estimation" (2004).
 
 mod draw;
+mod record;
 
 use std::collections::BTreeSet;
 
@@ -34,7 +35,7 @@ impl EventId {
 }
 
 /// What kind of event it is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum EventKind {
     /// The state of a node.
     State,
@@ -43,7 +44,7 @@ pub enum EventKind {
 }
 
 /// An event.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Event {
     /// Its node.
     pub node: usize,
@@ -56,7 +57,7 @@ pub struct Event {
 }
 
 /// How information flows from an event to another.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Link {
     /// A node keeps what it held.
     Memory,
@@ -119,6 +120,7 @@ pub struct Redundancy {
 /// # Ok::<(), sumprod_fusion::FusionError>(())
 /// ```
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[serde(try_from = "Vec<record::Happening>", into = "Vec<record::Happening>")]
 pub struct InformationGraph {
     names: Vec<String>,
     graph: DiGraph<Event, Link>,

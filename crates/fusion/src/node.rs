@@ -214,7 +214,7 @@ impl<M: Fusible> FusionNode<M> {
         }
         self.held.belief = step(&self.held.belief)?;
         self.reference = step(&self.reference)?;
-        if self.rule.remembers() {
+        if self.remembers() {
             self.channels.iter_mut().try_for_each(|channel| channel.advance(&mut step))?;
         }
         self.time = to;
@@ -229,6 +229,11 @@ impl<M: Fusible> FusionNode<M> {
             self.private = Some(M::vacuous(&self.space));
             self.split = None;
         }
+    }
+
+    /// Whether beliefs are kept to be divided out: a bound has no use for them.
+    fn remembers(&self) -> bool {
+        self.rule.remembers() && !self.bounded
     }
 
     /// What the node, number `own`, has to say to a neighbour.
@@ -254,7 +259,7 @@ impl<M: Fusible> FusionNode<M> {
             let from = self.place_of(source)?;
             forwarded.extend(self.channels[from].received.clone());
         }
-        if self.rule.remembers() {
+        if self.remembers() {
             let (form, stream) = (&self.form, self.stream());
             self.channels[place]
                 .note_sent(&self.held, |a, b| product(&[a.clone(), b.clone()], form, &mut stream.clone()))?;
@@ -307,6 +312,13 @@ impl<M: Fusible> FusionNode<M> {
             self.own_private()?;
         }
         self.talked = true;
+        if self.rule == Rule::Removal && message.bounded {
+            return Err(FusionError::Unsupported(format!(
+                "{}: it is a bound by an intersection, in which nothing can be divided out; choose the automatic rule \
+                 for all nodes",
+                self.describe(message.from)
+            )));
+        }
         match self.rule {
             Rule::Removal => self.remove(place, message)?.map_err(|missing| FusionError::Loop {
                 place: self.describe(message.from),

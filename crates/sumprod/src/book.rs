@@ -29,6 +29,7 @@ chapters! {
     PMpa: "../../../docs/src/p-mpa.md",
     Kcpf: "../../../docs/src/kcpf.md",
     Qgpf: "../../../docs/src/qgpf.md",
+    Fusion: "../../../docs/src/fusion.md",
     Cooperation: "../../../docs/src/cooperation.md",
     RangeSlam: "../../../docs/src/range-slam.md",
     Decisions: "../../../docs/src/decisions.md",

@@ -98,6 +98,15 @@ fn a_graph_refuses_the_future_and_strangers() {
     assert!(matches!(graph.observe(a, 4.0), Err(FusionError::Backwards { .. })));
     assert!(graph.observe(a, f64::NAN).is_err());
     assert_eq!(graph.silent(), [a, b]);
+    for wrong in [
+        r#"[{"observe": {"node": 0, "time": 1.0}}]"#,
+        r#"[{"node": "a"}, {"receive": {"node": 0, "time": 1.0, "from": [7]}}]"#,
+        r#"[{"node": "a"}, {"node": "b"}, {"observe": {"node": 0, "time": 2.0}},
+            {"receive": {"node": 1, "time": 1.0, "from": [3]}}]"#,
+        r#"[{"node": "a"}, {"observe": {"node": 0, "time": -1.0}}]"#,
+    ] {
+        assert!(serde_json::from_str::<InformationGraph>(wrong).is_err(), "{wrong}");
+    }
 }
 
 #[test]

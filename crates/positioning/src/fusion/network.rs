@@ -134,7 +134,8 @@ fn network(
         .map(|(node, name)| {
             // Where all is collected, nodes on the way fuse exactly, so that rules differ at the top alone.
             let between = method.exchange != Exchange::Neighbours && is_parent(node) && node != structure.top;
-            let own = if between && rule != Rule::Edge { Rule::Removal } else { rule };
+            let plain = rule == Rule::Naive || method.exchange == Exchange::Collect && rule != Rule::Edge;
+            let own = if between && plain { Rule::Removal } else { rule };
             FusionNode::new(name, Space::real(2), known.clone(), own)
         })
         .collect();
