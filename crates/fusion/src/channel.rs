@@ -77,15 +77,19 @@ impl<M: Fusible> Channel<M> {
         }
     }
 
-    /// Every belief kept. What both ends hold is nearly always among the first; else it is made of one from either side
-    /// and the base, which are exact of a state that stands still.
+    /// Every belief kept, those first that nearly always are what both ends hold.
     pub fn known(&self) -> impl Iterator<Item = &Known<M>> {
         std::iter::once(&self.agreed)
             .chain(self.sent.iter().rev())
             .chain(&self.received)
             .chain(self.forwarded.iter().flatten())
-            .chain(self.outbound.iter().rev())
-            .chain([&self.inbound, &self.base])
+            .chain(self.by_side())
+    }
+
+    /// What was sent from either side, and the base of both: on a tree two of these with the third divided out are all
+    /// that the ends can have in common, whatever was lost on the way. Exact of a state that stands still.
+    pub fn by_side(&self) -> impl Iterator<Item = &Known<M>> {
+        self.outbound.iter().rev().chain([&self.inbound, &self.base])
     }
 
     /// Moves every belief kept.
