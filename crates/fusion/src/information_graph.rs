@@ -108,6 +108,9 @@ pub struct Redundancy {
 /// let mut graph = InformationGraph::new();
 /// let [low, left, right, high] = ["low", "left", "right", "high"].map(|name| graph.add_node(name));
 /// let seen = graph.observe(low, 1.0)?;
+/// for node in [left, right] {
+///     graph.observe(node, 1.0)?;
+/// }
 /// // The same observation reaches the top by two paths.
 /// let left = graph.communicate(&[seen], left, 2.0)?;
 /// let right = graph.communicate(&[seen], right, 2.0)?;
