@@ -290,7 +290,7 @@ impl<M: Fusible> FusionNode<M> {
     ) -> Result<Outcome, FusionError> {
         let place = self.place_of(message.from)?;
         let slack = SAME_TIME * (self.time.abs() + message.time.abs());
-        if !(message.time <= self.time + slack) {
+        if message.time.is_nan() || message.time > self.time + slack {
             let (sent, now) = (message.time, self.time);
             return Err(FusionError::FromTheFuture { place: self.describe(message.from), sent, now });
         }
@@ -336,9 +336,13 @@ impl<M: Fusible> FusionNode<M> {
                 if self.bounded || message.bounded {
                     return self.intersect(message, intersection, None);
                 }
-                match self.remove(place, message)? {
-                    Ok(outcome) => Ok(outcome),
-                    Err(missing) => self.intersect(message, intersection, Some(missing)),
+                match self.remove(place, message) {
+                    Ok(Ok(outcome)) => Ok(outcome),
+                    Ok(Err(missing)) => self.intersect(message, intersection, Some(missing)),
+                    Err(FusionError::Indivisible { .. }) => {
+                        self.intersect(message, intersection, Some(InformationSet::new()))
+                    }
+                    Err(error) => Err(error),
                 }
             }
         }

@@ -80,7 +80,8 @@ pub enum Outcome {
     Intersected {
         /// The weight of the receiver's belief, from 0 to 1.
         weight: f64,
-        /// Where the automatic rule gave removal up in this step: what came by more than one path.
+        /// Where the automatic rule gave removal up in this step: what came by more than one path; nothing where a
+        /// division left no message instead.
         looped: Option<InformationSet>,
     },
 }

@@ -99,6 +99,24 @@ impl MethodSettings {
                 "is \"removal\", which a loop makes wrong; choose links = \"tree\", or rule = \"automatic\", which falls back",
             );
         }
+        if world.message_loss > 0.0 && self.exchange != Exchange::Collect {
+            let looped = world.structure == StructureKind::Hierarchy
+                && matches!(self.rule, FusionRule::Removal | FusionRule::Naive);
+            if looped {
+                return wrong(
+                    "exchange",
+                    "distributes past lost messages, so that the shared sensor closes a loop; choose rule = \"automatic\", \
+                     exchange = \"collect\", or world.message_loss = 0",
+                );
+            }
+            if self.rule == FusionRule::Edge {
+                return wrong(
+                    "rule",
+                    "is \"edge\", which trusts that both ends keep the same separator, and lost messages break that; \
+                     choose \"removal\", which goes by the messages' identity, or world.message_loss = 0",
+                );
+            }
+        }
         if self.rule == FusionRule::Private && self.exchange != Exchange::Neighbours {
             return wrong("rule", "is \"private\", which is for exchange = \"neighbours\" alone");
         }

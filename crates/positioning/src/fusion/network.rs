@@ -188,12 +188,16 @@ impl Fallback {
             if let (Some(looped), None) = (looped, &self.first) {
                 let sources: Vec<&str> =
                     looped.sources().iter().map(|&k| names[k as usize].as_str()).collect();
-                self.first = Some(format!(
-                    "noticed a loop at step {step}: what {} measured reached {} by more than one path, so that removal \
-                     would count it twice",
-                    sources.join(", "),
-                    names[to]
-                ));
+                let to = &names[to];
+                self.first = Some(if sources.is_empty() {
+                    format!("found at step {step} that what is shared is narrower than what {to} received")
+                } else {
+                    format!(
+                        "noticed a loop at step {step}: what {} measured reached {to} by more than one path, so that \
+                         removal would count it twice",
+                        sources.join(", ")
+                    )
+                });
             }
         }
     }
