@@ -32,6 +32,7 @@ pub const BUILTINS: &[Builtin] = &[
     Builtin { name: "fusion-hierarchy", text: include_str!("../scenarios/fusion-hierarchy.toml") },
     Builtin { name: "fusion-ring", text: include_str!("../scenarios/fusion-ring.toml") },
     Builtin { name: "graph", text: include_str!("../scenarios/graph.toml") },
+    Builtin { name: "association", text: include_str!("../scenarios/association.toml") },
     #[cfg(test)]
     Builtin { name: "walk", text: include_str!("testing/walk.toml") },
 ];

@@ -1,5 +1,6 @@
 //! The one list of systems: which Rust type reads and runs the scenario files of which `system`.
 
+use sumprod_positioning::association::Association;
 use sumprod_positioning::cooperation::Cooperation;
 use sumprod_positioning::fusion::Fusion;
 use sumprod_positioning::graphs::Graphs;
@@ -42,6 +43,7 @@ pub const SYSTEMS: &[&str] = &[
     Graphs::SYSTEM,
     Wsn::SYSTEM,
     Fusion::SYSTEM,
+    Association::SYSTEM,
     #[cfg(test)]
     crate::testing::Walk::SYSTEM,
 ];
@@ -62,6 +64,7 @@ pub fn dispatch<A: Action>(document: &Document, action: A) -> Result<A::Output, 
         Graphs::SYSTEM => action.on::<Graphs>(document),
         Wsn::SYSTEM => action.on::<Wsn>(document),
         Fusion::SYSTEM => action.on::<Fusion>(document),
+        Association::SYSTEM => action.on::<Association>(document),
         #[cfg(test)]
         crate::testing::Walk::SYSTEM => action.on::<crate::testing::Walk>(document),
         unknown => {

@@ -29,3 +29,5 @@ pub use information::{InformationSet, Item};
 pub use information_graph::InformationGraph;
 pub use node::{Communication, FusionNode};
 pub use rule::{Intersection, IntersectionKind, Outcome, Rule};
+
+pub mod association;

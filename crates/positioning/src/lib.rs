@@ -7,6 +7,7 @@
 //! | [`metrics`] | error, consistency and bound figures over many runs |
 //! | [`campaign`] | runs in parallel, in a fixed order, resumable |
 //! | [`form`] | how scenario files spell the form of an edge |
+//! | [`association`] | which tracks of two biased sensors are the same target's |
 //! | [`cooperation`] | agents that locate themselves by ranges to each other and to anchors |
 //! | [`static_network`] | agents that stand still and locate themselves by ranges alone |
 //! | [`pmpa`] | one target among known nodes: Kalman, particle and message-passing filters |
@@ -19,6 +20,7 @@
 //! | [`walk`] | a person tracked by the links of a recorded radio network |
 //! | [`error`] | the crate's error |
 
+pub mod association;
 pub mod campaign;
 pub mod cooperation;
 mod costs;

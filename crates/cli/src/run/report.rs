@@ -90,7 +90,10 @@ fn row(id: &str, metrics: &MethodMetrics) -> Vec<String> {
         summary.coverage95.map_or(String::new(), |share| format!("{:.1} %", 100.0 * share)),
         summary.width95.map_or(String::new(), number),
     ];
-    cells.extend(OWN_COLUMNS.iter().map(|(name, _)| metrics.diagnostic(name).map_or(String::new(), number)));
+    cells.extend(OWN_COLUMNS.iter().map(|(name, _)| {
+        let value = metrics.diagnostic(name).map(|mean| Statistic { mean, se: metrics.standard_error(name) });
+        value.as_ref().map_or(String::new(), statistic)
+    }));
     cells.extend([
         number(metrics.seconds),
         match calibration.map(|calibration| calibration.verdict) {

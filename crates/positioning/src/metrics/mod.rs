@@ -93,6 +93,9 @@ pub struct MethodMetrics {
     /// What the method reports about itself, averaged over the runs.
     #[serde(flatten)]
     pub diagnostics: BTreeMap<String, DiagnosticValue>,
+    /// Standard errors of those that are numbers, under the same names; none for a single run.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub standard_errors: BTreeMap<String, DiagnosticValue>,
     /// The figures over named stretches.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub segments: BTreeMap<String, Summary<f64>>,
@@ -158,12 +161,13 @@ impl MethodMetrics {
     /// A number that the system reports under this name, `group.kind` for one of a group.
     #[must_use]
     pub fn diagnostic(&self, name: &str) -> Option<f64> {
-        let (group, kind) = name.split_once('.').unwrap_or((name, ""));
-        match self.diagnostics.get(group)? {
-            DiagnosticValue::Number(value) if kind.is_empty() => Some(*value),
-            DiagnosticValue::Group(kinds) => kinds.get(kind).copied(),
-            _ => None,
-        }
+        number(&self.diagnostics, name)
+    }
+
+    /// The standard error of that number; `None` for a single run.
+    #[must_use]
+    pub fn standard_error(&self, name: &str) -> Option<f64> {
+        number(&self.standard_errors, name)
     }
 
     fn new(id: &str, runs: &[RunResult]) -> Result<Self, PositioningError> {
@@ -190,6 +194,7 @@ impl MethodMetrics {
             last_third_over_first_third: by_step::last_third_over_first_third(&samples, &bins),
             one_sidedness: sample::one_sidedness(&samples, dimensions.position),
             diagnostics: grouped(id, &mine)?,
+            standard_errors: standard_errors(id, &mine)?,
             segments,
             by_step: ByStep::new(&samples, dimensions, &bins, &mine),
             notes: notes(&mine),
@@ -216,8 +221,36 @@ fn collect<'a>(id: &str, runs: &'a [RunResult]) -> Result<Vec<&'a MethodRun>, Po
 /// Averages each named number and array over the runs that report it, and groups names at their dot.
 fn grouped(id: &str, mine: &[&MethodRun]) -> Result<BTreeMap<String, DiagnosticValue>, PositioningError> {
     let mut groups = BTreeMap::new();
-    gather(id, numbers(id, mine)?, DiagnosticValue::Number, DiagnosticValue::Group, &mut groups)?;
+    let means = numbers(id, mine)?.into_iter().map(|(name, values)| (name, mean(values))).collect();
+    gather(id, means, DiagnosticValue::Number, DiagnosticValue::Group, &mut groups)?;
     gather(id, lists(id, mine)?, DiagnosticValue::List, DiagnosticValue::Lists, &mut groups)?;
+    Ok(groups)
+}
+
+/// The number of this name, `group.kind` for one of a group.
+fn number(groups: &BTreeMap<String, DiagnosticValue>, name: &str) -> Option<f64> {
+    let (group, kind) = name.split_once('.').unwrap_or((name, ""));
+    match groups.get(group)? {
+        DiagnosticValue::Number(value) if kind.is_empty() => Some(*value),
+        DiagnosticValue::Group(kinds) => kinds.get(kind).copied(),
+        _ => None,
+    }
+}
+
+/// The standard error of each named number that several runs report, grouped as the numbers.
+fn standard_errors(
+    id: &str,
+    mine: &[&MethodRun],
+) -> Result<BTreeMap<String, DiagnosticValue>, PositioningError> {
+    let error = |(name, values): (_, Vec<f64>)| {
+        let count = values.len() as f64;
+        let middle = mean(values.iter().copied());
+        let squares: f64 = values.iter().map(|value| (value - middle).powi(2)).sum();
+        (values.len() > 1).then(|| (name, (squares / (count - 1.0) / count).sqrt()))
+    };
+    let errors = numbers(id, mine)?.into_iter().filter_map(error).collect();
+    let mut groups = BTreeMap::new();
+    gather(id, errors, DiagnosticValue::Number, DiagnosticValue::Group, &mut groups)?;
     Ok(groups)
 }
 
@@ -248,18 +281,17 @@ fn gather<T>(
     taken.map_or(Ok(()), |name| Err(broken(format!("method `{id}` reports two things as {name}"))))
 }
 
-fn numbers<'a>(id: &str, mine: &[&'a MethodRun]) -> Result<BTreeMap<&'a str, f64>, PositioningError> {
-    let mut sums: BTreeMap<&str, (f64, usize)> = BTreeMap::new();
+/// The values of each named number, in the order of the runs that report it.
+fn numbers<'a>(id: &str, mine: &[&'a MethodRun]) -> Result<BTreeMap<&'a str, Vec<f64>>, PositioningError> {
+    let mut named: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
     for diagnostic in mine.iter().flat_map(|method| &method.diagnostics) {
         if !diagnostic.value.is_finite() {
             let problem = format!("method `{id}` reports {} = {}", diagnostic.name, diagnostic.value);
             return Err(broken(problem));
         }
-        let (sum, count) = sums.entry(&diagnostic.name).or_default();
-        *sum += diagnostic.value;
-        *count += 1;
+        named.entry(&diagnostic.name).or_default().push(diagnostic.value);
     }
-    Ok(sums.into_iter().map(|(name, (sum, count))| (name, sum / count as f64)).collect())
+    Ok(named)
 }
 
 fn lists<'a>(id: &str, mine: &[&'a MethodRun]) -> Result<BTreeMap<&'a str, Vec<f64>>, PositioningError> {

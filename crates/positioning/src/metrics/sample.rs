@@ -16,6 +16,8 @@ pub(super) struct Dimensions {
     pub velocity: usize,
     pub state: usize,
     pub scored: usize,
+    /// Number of angles, which share no unit with the rest of the state.
+    pub angular: usize,
 }
 
 impl Dimensions {
@@ -25,6 +27,7 @@ impl Dimensions {
             velocity: layout.velocity.len(),
             state: layout.dimension(),
             scored: layout.scored().len(),
+            angular: layout.angular.len(),
         }
     }
 }

@@ -68,7 +68,7 @@ pub struct Summary<T> {
     /// Root mean squared position error (m).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub position_rmse_m: Option<Statistic<T>>,
-    /// Root mean squared error of a state that has no position (m).
+    /// Root mean squared error of a state that has no position and no angle (m).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rmse_m: Option<Statistic<T>>,
     /// Root mean squared velocity error (m/s).
@@ -103,7 +103,7 @@ impl Summary<f64> {
         let widths: Option<Vec<f64>> = samples.iter().map(|sample| sample.width).collect();
         Self {
             position_rmse_m: rmse(samples, |sample| sample.position_squared),
-            rmse_m: rmse(samples, |sample| sample.state_squared),
+            rmse_m: rmse(samples, |sample| sample.state_squared.filter(|_| dimensions.angular == 0)),
             velocity_rmse_mps: rmse(samples, |sample| sample.velocity_squared),
             error_quantiles_m: quantiles(samples),
             nees: any.then_some(blocks),

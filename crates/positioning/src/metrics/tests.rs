@@ -186,6 +186,8 @@ fn the_json_has_the_documented_names_and_no_null() {
     let value: serde_json::Value = serde_json::from_str(&text).unwrap();
     let method = &value["methods"]["m"];
     assert_eq!(method["n_eff"], 50.0);
+    assert_eq!(method["standard_errors"]["n_eff"], 50.0);
+    assert_eq!(method["standard_errors"]["conversion_loss"]["range"], 0.0);
     assert_eq!(method["conversion_loss"]["range"], 0.5);
     assert_eq!(method["by_step"]["n_eff"][2], 3.0);
     assert_eq!(method["by_step"]["position_rmse_m"]["mean"].as_array().unwrap().len(), 3);
