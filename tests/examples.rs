@@ -1,5 +1,7 @@
 //! Every example runs, and finds its own answer right: each returns an error where it does not.
 
+#[path = "../examples/association.rs"]
+mod association;
 #[path = "../examples/encoder_calibration.rs"]
 mod encoder_calibration;
 #[path = "../examples/equal_evaluations.rs"]
@@ -48,6 +50,7 @@ macro_rules! run {
 /// One test per example, by its name.
 mod of {
     run!(
+        association,
         encoder_calibration,
         filters,
         fusion,

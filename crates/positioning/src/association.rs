@@ -32,6 +32,7 @@ use crate::results::{MethodRun, RunResult, StateLayout};
 use crate::scenario::{FormUse, GraphSummary, Methods, RunRequest, Scenario};
 
 pub use method::{Algorithm, MethodSettings, StartSettings, TailsSettings};
+pub use score::Judgement;
 pub use world::{Scene, WorldSettings};
 
 /// Fall of the penalised log likelihood, as a share of its size, that rounding explains.

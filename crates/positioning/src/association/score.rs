@@ -5,19 +5,39 @@ use sumprod_fusion::association::Pair;
 use super::world::Scene;
 use crate::results::MethodRun;
 
-/// Reports `association.correct` where some target is common, and `association.false` where a pair is declared.
-pub(super) fn pairs(scene: &Scene, pairs: &[Pair], out: &mut MethodRun) {
-    let right = |pair: &&Pair| {
-        let [first, second] = [scene.first_targets.get(pair.first), scene.second_targets.get(pair.second)];
-        matches!((first, second), (Some(Some(a)), Some(Some(b))) if a == b)
-    };
-    let correct = pairs.iter().filter(right).count();
-    let common = scene.common();
-    if common > 0 {
-        out.diagnose("association.correct", correct as f64 / common as f64);
+/// How the declared pairs compare with the truth.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Judgement {
+    /// Correctly declared share of the targets that both sensors see; `None` where there is no such target.
+    pub correct: Option<f64>,
+    /// Wrong share of the declared pairs; `None` where none is declared.
+    pub wrong: Option<f64>,
+}
+
+impl Scene {
+    /// Judges declared pairs.
+    pub fn judge(&self, pairs: &[Pair]) -> Judgement {
+        let right = |pair: &&Pair| {
+            let [first, second] = [self.first_targets.get(pair.first), self.second_targets.get(pair.second)];
+            matches!((first, second), (Some(Some(a)), Some(Some(b))) if a == b)
+        };
+        let correct = pairs.iter().filter(right).count() as f64;
+        let share = |part: f64, whole: usize| (whole > 0).then(|| part / whole as f64);
+        Judgement {
+            correct: share(correct, self.common()),
+            wrong: share(pairs.len() as f64 - correct, pairs.len()),
+        }
     }
-    if !pairs.is_empty() {
-        out.diagnose("association.false", (pairs.len() - correct) as f64 / pairs.len() as f64);
+}
+
+/// Reports `association.correct` and `association.false`, where they exist.
+pub(super) fn pairs(scene: &Scene, pairs: &[Pair], out: &mut MethodRun) {
+    let judgement = scene.judge(pairs);
+    for (name, share) in [("association.correct", judgement.correct), ("association.false", judgement.wrong)]
+    {
+        if let Some(share) = share {
+            out.diagnose(name, share);
+        }
     }
 }
 
