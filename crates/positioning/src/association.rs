@@ -61,7 +61,7 @@ impl Association {
             Algorithm::Nearest => Ok(nearest(first, second, gate)?),
             Algorithm::GlobalNearest => Ok(global_nearest(first, second, gate)?),
             Algorithm::KnownBias => {
-                Ok(global_nearest(&scene.sensors.displaced(first, scene.biases), second, gate)?)
+                Ok(global_nearest(&scene.sensors.displaced(first, scene.biases)?, second, gate)?)
             }
             Algorithm::Drift => {
                 let mut field = CoherentDrift::new(method.length(), method.stiffness())?;

@@ -30,6 +30,7 @@ chapters! {
     Kcpf: "../../../docs/src/kcpf.md",
     Qgpf: "../../../docs/src/qgpf.md",
     Fusion: "../../../docs/src/fusion.md",
+    Association: "../../../docs/src/association.md",
     Cooperation: "../../../docs/src/cooperation.md",
     RangeSlam: "../../../docs/src/range-slam.md",
     Decisions: "../../../docs/src/decisions.md",

@@ -11,8 +11,8 @@ use super::error::AssociationError;
 use super::settings::positive;
 use super::tracks::Tracks;
 
-/// Largest matrix of one group: 512 MB of weights.
-const LARGEST: usize = 1 << 26;
+/// Most pairs within the gate, and most entries of one group's matrix: some hundred megabytes.
+const LARGEST: usize = 1 << 24;
 
 /// Worth of a pair at distance zero, in units of the assignment, which are whole so that its sums are exact.
 const UNITS: f64 = (1_u64 << 40) as f64;
@@ -63,7 +63,12 @@ pub fn global_nearest(first: &Tracks, second: &Tracks, gate: f64) -> Result<Vec<
 fn gated(first: &Tracks, second: &Tracks, gate: f64) -> Result<Vec<Pair>, AssociationError> {
     positive("gate", gate)?;
     first.agree(second)?;
-    let candidates = Candidates::within(first, second, gate, usize::MAX);
+    let candidates = Candidates::collect(first, second, gate, LARGEST).ok_or(AssociationError::Crowded {
+        first: first.len(),
+        second: second.len(),
+        gate,
+        limit: LARGEST,
+    })?;
     let (width, scans) = (first.width(), first.scans() as f64);
     let at = |tracks: &'_ Tracks, i: usize, j: usize, other: &Tracks| {
         let [a, b] = [&tracks.coordinates()[i * width..], &other.coordinates()[j * width..]];

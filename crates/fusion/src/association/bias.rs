@@ -2,7 +2,7 @@
 
 use nalgebra::{Cholesky, DMatrix, DVector, Matrix2x4, Matrix4, Vector2, Vector4};
 
-use super::biased_sensors::Sensors;
+use super::biased_sensors::{Sensors, planar};
 use super::em::Displacement;
 use super::error::AssociationError;
 use super::expectation::{Pull, Residuals};
@@ -187,11 +187,7 @@ impl BiasField {
 
 impl Displacement for BiasField {
     fn start(&mut self, first: &Tracks, _scale: f64) -> Result<f64, AssociationError> {
-        if first.dimension() != 2 {
-            let problem =
-                format!("ranges and azimuths are of the plane, and the tracks have {}", first.dimension());
-            return Err(AssociationError::Field { problem: format!("{problem} coordinates a scan") });
-        }
+        planar(first)?;
         self.scans = first.scans();
         self.sets = if self.prior.walk == Matrix4::zeros() { 1 } else { self.scans };
         self.first = first.coordinates().chunks_exact(2).map(|y| Vector2::new(y[0], y[1])).collect();

@@ -2,6 +2,7 @@
 
 use nalgebra::{Matrix2, Matrix2x4, Vector2, Vector4};
 
+use super::error::AssociationError;
 use super::tracks::Tracks;
 
 /// Where the two sensors of a plane stand (m).
@@ -44,14 +45,30 @@ impl Sensors {
     }
 
     /// The first tracks as the second sensor sees them under these biases, the same in all scans.
-    pub fn displaced(&self, tracks: &Tracks, biases: [f64; 4]) -> Tracks {
+    ///
+    /// # Errors
+    /// [`AssociationError::Field`] for tracks that are not of the plane.
+    pub fn displaced(&self, tracks: &Tracks, biases: [f64; 4]) -> Result<Tracks, AssociationError> {
+        planar(tracks)?;
         let biases = Vector4::from(biases);
         let moves = tracks.coordinates().chunks_exact(2).flat_map(|seen| {
             let seen = Vector2::new(seen[0], seen[1]);
             let change = self.transfer(seen, &biases).0 - seen;
             [change.x, change.y]
         });
-        tracks.displaced(&moves.collect::<Vec<_>>())
+        Ok(tracks.displaced(&moves.collect::<Vec<_>>()))
+    }
+}
+
+/// Fails for tracks that are not of the plane.
+pub(super) fn planar(tracks: &Tracks) -> Result<(), AssociationError> {
+    match tracks.dimension() {
+        2 => Ok(()),
+        other => Err(AssociationError::Field {
+            problem: format!(
+                "ranges and azimuths are of the plane, and the tracks have {other} coordinates a scan"
+            ),
+        }),
     }
 }
 

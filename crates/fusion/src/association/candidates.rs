@@ -28,7 +28,7 @@ impl Candidates {
     }
 
     /// As [`within`](Self::within) with the radius as it is; `None` where there are more than `most`.
-    fn collect(first: &Tracks, second: &Tracks, radius: f64, most: usize) -> Option<Self> {
+    pub fn collect(first: &Tracks, second: &Tracks, radius: f64, most: usize) -> Option<Self> {
         let scans = first.scans() as f64;
         let grid = Grid::new(first, radius * scans.sqrt());
         let limit = radius * radius * scans;

@@ -32,6 +32,10 @@ pub struct CoherentDrift {
     precision: f64,
     /// r·D, axis by axis.
     coefficients: Vec<f64>,
+    /// The columns, each entry times the root of its track's weight.
+    weighted: Vec<Vec<f64>>,
+    /// Whole pull along one axis.
+    axis: Vec<f64>,
 }
 
 impl CoherentDrift {
@@ -50,6 +54,8 @@ impl CoherentDrift {
             lacking: 0.0,
             precision: 0.0,
             coefficients: Vec::new(),
+            weighted: Vec::new(),
+            axis: Vec::new(),
         })
     }
 
@@ -113,6 +119,8 @@ impl Displacement for CoherentDrift {
         self.factor(first, scale);
         self.precision = self.stiffness / (scale * scale);
         self.coefficients = vec![0.0; self.columns.len() * first.width()];
+        self.weighted = self.columns.clone();
+        self.axis = vec![0.0; first.len()];
         Ok(1.0 / self.precision)
     }
 
@@ -127,15 +135,14 @@ impl Displacement for CoherentDrift {
             return Ok(());
         }
         let width = displacements.len() / count;
-        let roots: Vec<f64> = pull.weight.iter().map(|weight| weight.sqrt()).collect();
-        let scaled: Vec<Vec<f64>> = self
-            .columns
-            .iter()
-            .map(|column| column.iter().zip(&roots).map(|(entry, root)| entry * root).collect())
-            .collect();
+        for (weighted, column) in self.weighted.iter_mut().zip(&self.columns) {
+            for ((weighted, entry), weight) in weighted.iter_mut().zip(column).zip(&pull.weight) {
+                *weighted = entry * weight.sqrt();
+            }
+        }
         let mut normal = DMatrix::zeros(rank, rank);
-        for (j, b) in scaled.iter().enumerate() {
-            for (i, a) in scaled.iter().enumerate().take(j + 1) {
+        for (j, b) in self.weighted.iter().enumerate() {
+            for (i, a) in self.weighted.iter().enumerate().take(j + 1) {
                 let product = dot(a, b);
                 normal[(i, j)] = product;
                 normal[(j, i)] = product;
@@ -147,14 +154,15 @@ impl Displacement for CoherentDrift {
             normal[(k, k)] += prior;
         }
         // The force is about the old places; the coefficients are of the whole displacement.
-        let axis: Vec<Vec<f64>> = (0..width)
-            .map(|i| {
-                let whole =
-                    |m: usize| pull.force[m * width + i] + pull.weight[m] * displacements[m * width + i];
-                (0..count).map(whole).collect()
-            })
-            .collect();
-        let mut right = DMatrix::from_fn(rank, width, |k, i| dot(&self.columns[k], &axis[i]));
+        let mut right = DMatrix::zeros(rank, width);
+        for i in 0..width {
+            for (m, (whole, weight)) in self.axis.iter_mut().zip(&pull.weight).enumerate() {
+                *whole = pull.force[m * width + i] + weight * displacements[m * width + i];
+            }
+            for (k, column) in self.columns.iter().enumerate() {
+                right[(k, i)] = dot(column, &self.axis);
+            }
+        }
         let factors = Cholesky::new(normal).ok_or_else(|| AssociationError::Field {
             problem: format!(
                 "its {rank} coefficients have a singular system at variance {variance}; raise the stiffness"

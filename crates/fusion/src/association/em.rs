@@ -120,7 +120,7 @@ pub fn associate<F: Displacement + ?Sized>(
     let mut fit = Fit::new(first, second, field, mixture)?;
     let report = fit.run()?;
     let displaced = first.displaced(&fit.displacements);
-    let probabilities = fit.candidates.pairs().zip(&fit.probabilities);
+    let probabilities = fit.model.candidates.pairs().zip(&fit.probabilities);
     let probabilities = probabilities
         .filter(|(_, probability)| **probability > 1e-6)
         .map(|((_, first, second), &probability)| PairProbability { first, second, probability })
@@ -131,21 +131,15 @@ pub fn associate<F: Displacement + ?Sized>(
 
 /// The state of the iterations.
 struct Fit<'a, F: Displacement + ?Sized> {
-    second: &'a Tracks,
     first: &'a Tracks,
     field: &'a mut F,
     mixture: &'a Mixture,
-    candidates: Candidates,
+    model: Expectation<'a>,
     probabilities: Vec<f64>,
     pull: Pull,
     memberships: Vec<f64>,
     displacements: Vec<f64>,
-    places: Vec<f64>,
-    log_weights: Vec<f64>,
-    log_uniform: f64,
-    variance: f64,
     least_variance: f64,
-    tails: Tails,
 }
 
 impl<'a, F: Displacement + ?Sized> Fit<'a, F> {
@@ -174,17 +168,19 @@ impl<'a, F: Displacement + ?Sized> Fit<'a, F> {
         let log_weight = ((1.0 - outliers) / count.max(1) as f64).ln();
         Ok(Self {
             probabilities: vec![0.0; candidates.len()],
-            candidates,
             pull: Pull { weight: vec![0.0; count], force: vec![0.0; count * first.width()] },
             memberships: vec![0.0; count],
             displacements: vec![0.0; count * first.width()],
-            places: first.coordinates().to_vec(),
-            log_weights: vec![log_weight; count],
-            log_uniform: outliers.ln() - log_volume(first, second, mixture.gate),
-            variance: (deviation * deviation).max(least_variance),
+            model: Expectation {
+                candidates,
+                second,
+                places: first.coordinates().to_vec(),
+                tails: mixture.tails,
+                variance: (deviation * deviation).max(least_variance),
+                log_weights: vec![log_weight; count],
+                log_uniform: outliers.ln() - log_volume(first, second, mixture.gate),
+            },
             least_variance,
-            tails: mixture.tails,
-            second,
             first,
             field,
             mixture,
@@ -194,35 +190,26 @@ impl<'a, F: Displacement + ?Sized> Fit<'a, F> {
     fn run(&mut self) -> Result<MixtureReport, AssociationError> {
         let (objective, mut converged) = self.iterate()?;
         let mut refinement = Vec::new();
-        if self.mixture.refine && self.tails != Tails::Gaussian {
-            self.tails = Tails::Gaussian;
+        if self.mixture.refine && self.model.tails != Tails::Gaussian {
+            self.model.tails = Tails::Gaussian;
             let (values, ended) = self.iterate()?;
             refinement = values;
             converged &= ended;
         }
-        let Self { field, probabilities, variance, .. } = self;
-        let expectation = Expectation {
-            candidates: &self.candidates,
-            second: self.second,
-            places: &self.places,
-            density: self.tails.density(self.first.width(), *variance),
-            log_weights: &self.log_weights,
-            log_uniform: self.log_uniform,
-        };
-        field.finish(&expectation.residuals(probabilities, *variance))?;
+        self.field.finish(&self.model.residuals(&self.probabilities))?;
         Ok(MixtureReport {
             objective,
             refinement,
-            variance: self.variance,
-            degrees_of_freedom: self.tails.degrees(),
+            variance: self.model.variance,
+            degrees_of_freedom: self.model.tails.degrees(),
             converged,
-            candidates: self.candidates.len(),
+            candidates: self.model.candidates.len(),
         })
     }
 
     /// Iterates with the present tails: the objective of each iteration, and whether it came to rest.
     fn iterate(&mut self) -> Result<(Vec<f64>, bool), AssociationError> {
-        let enough = self.mixture.tolerance * self.second.len() as f64;
+        let enough = self.mixture.tolerance * self.model.second.len() as f64;
         let mut objective: Vec<f64> = Vec::with_capacity(self.mixture.iterations + 1);
         loop {
             let sums = self.expect();
@@ -242,31 +229,26 @@ impl<'a, F: Displacement + ?Sized> Fit<'a, F> {
 
     /// Farthest that the tracks of a declared pair may be apart.
     fn gate(&self) -> f64 {
-        let Tails::Gaussian = self.tails else { return self.mixture.gate };
+        let Mixture { gate, miss_probability, .. } = *self.mixture;
+        if self.model.tails != Tails::Gaussian || miss_probability == 0.0 {
+            return gate;
+        }
         let quantile = ChiSquared::new(self.first.width() as f64)
-            .map_or(f64::INFINITY, |law| law.inverse_cdf(1.0 - self.mixture.miss_probability));
-        (self.variance * quantile / self.first.scans() as f64).sqrt().min(self.mixture.gate)
+            .map_or(f64::INFINITY, |law| law.inverse_cdf(1.0 - miss_probability));
+        (self.model.variance * quantile / self.first.scans() as f64).sqrt().min(gate)
     }
 
     fn expect(&mut self) -> Sums {
-        Expectation {
-            candidates: &self.candidates,
-            second: self.second,
-            places: &self.places,
-            density: self.tails.density(self.first.width(), self.variance),
-            log_weights: &self.log_weights,
-            log_uniform: self.log_uniform,
-        }
-        .run(&mut self.probabilities, &mut self.pull, &mut self.memberships)
+        self.model.run(&mut self.probabilities, &mut self.pull, &mut self.memberships)
     }
 
     fn maximise(&mut self, sums: &Sums) -> Result<(), AssociationError> {
         let width = self.first.width();
-        self.field.improve(&self.pull, self.variance, &mut self.displacements)?;
+        self.field.improve(&self.pull, self.model.variance, &mut self.displacements)?;
         // The square about the new places: from the old ones by the change of place.
         let mut square = sums.square;
         let rows = self.pull.weight.iter().zip(self.pull.force.chunks_exact(width));
-        let places = self.places.chunks_exact_mut(width).zip(self.first.iter());
+        let places = self.model.places.chunks_exact_mut(width).zip(self.first.iter());
         let moves = self.displacements.chunks_exact(width);
         for (((weight, force), (place, start)), displacement) in rows.zip(places).zip(moves) {
             for (i, place) in place.iter_mut().enumerate() {
@@ -276,14 +258,14 @@ impl<'a, F: Displacement + ?Sized> Fit<'a, F> {
                 *place = new;
             }
         }
-        self.variance = (square / (width as f64 * sums.membership)).max(self.least_variance);
+        self.model.variance = (square / (width as f64 * sums.membership)).max(self.least_variance);
         if self.mixture.estimate_weights {
             let share = (1.0 - self.mixture.outlier_weight) / sums.membership;
-            for (log_weight, membership) in self.log_weights.iter_mut().zip(&self.memberships) {
+            for (log_weight, membership) in self.model.log_weights.iter_mut().zip(&self.memberships) {
                 *log_weight = (share * membership).ln();
             }
         }
-        self.tails = self.tails.reestimated(sums.log_scale / sums.membership, width);
+        self.model.tails = self.model.tails.reestimated(sums.log_scale / sums.membership, width);
         Ok(())
     }
 }

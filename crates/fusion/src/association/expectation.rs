@@ -1,8 +1,11 @@
 //! The expectation step: to which component a second track belongs, and how far in the tails it lies.
 
 use super::candidates::{Candidates, squared_distance};
-use super::tails::Density;
+use super::tails::{Density, Tails};
 use super::tracks::Tracks;
+
+/// Logarithm of a share of a density that is lost in rounding.
+const NEGLIGIBLE: f64 = -37.0;
 
 /// What the second tracks say about where each first one should go.
 ///
@@ -30,13 +33,15 @@ pub(super) struct Sums {
 
 /// The mixture at one iteration.
 pub(super) struct Expectation<'a> {
-    pub candidates: &'a Candidates,
+    pub candidates: Candidates,
     pub second: &'a Tracks,
     /// Displaced first tracks, M·D.
-    pub places: &'a [f64],
-    pub density: Density,
+    pub places: Vec<f64>,
+    pub tails: Tails,
+    /// Variance σ² of a coordinate about its displaced track (m²).
+    pub variance: f64,
     /// ln((1 − w) π_m), M.
-    pub log_weights: &'a [f64],
+    pub log_weights: Vec<f64>,
     /// ln(w / V), minus infinity for w = 0.
     pub log_uniform: f64,
 }
@@ -48,7 +53,9 @@ impl Expectation<'_> {
     /// the same constant to the likelihood in every iteration: nothing.
     pub fn run(&self, probabilities: &mut [f64], pull: &mut Pull, memberships: &mut [f64]) -> Sums {
         let width = self.second.width();
+        let density = self.density();
         let mut sums = Sums::default();
+        let mut squares = Vec::new();
         pull.weight.fill(0.0);
         pull.force.fill(0.0);
         memberships.fill(0.0);
@@ -56,9 +63,11 @@ impl Expectation<'_> {
             let (start, members) = self.candidates.of(n);
             let row = &mut probabilities[start..start + members.len()];
             let mut largest = self.log_uniform;
+            squares.clear();
             for (&m, entry) in members.iter().zip(row.iter_mut()) {
                 let squared = squared_distance(self.place(m, width), track);
-                *entry = self.log_weights[m as usize] + self.density.log(squared);
+                squares.push(squared);
+                *entry = self.log_weights[m as usize] + density.log(squared);
                 largest = largest.max(*entry);
             }
             if largest == f64::NEG_INFINITY {
@@ -67,14 +76,17 @@ impl Expectation<'_> {
             }
             let mut total = (self.log_uniform - largest).exp();
             for entry in row.iter_mut() {
-                *entry = (*entry - largest).exp();
+                let below = *entry - largest;
+                *entry = if below < NEGLIGIBLE { 0.0 } else { below.exp() };
                 total += *entry;
             }
             sums.log_likelihood += largest + total.ln();
-            for (&m, entry) in members.iter().zip(row.iter_mut()) {
-                *entry /= total;
+            for ((&m, entry), squared) in members.iter().zip(row.iter_mut()).zip(&squares) {
                 if *entry > 0.0 {
-                    self.add(m as usize, track, *entry, pull, memberships, &mut sums);
+                    *entry /= total;
+                    let m = m as usize;
+                    memberships[m] += *entry;
+                    self.add(&density, m, track, [*entry, *squared], pull, &mut sums);
                 }
             }
         }
@@ -89,39 +101,43 @@ impl Expectation<'_> {
     #[inline]
     fn add(
         &self,
+        density: &Density,
         m: usize,
         track: &[f64],
-        probability: f64,
+        [probability, squared]: [f64; 2],
         pull: &mut Pull,
-        memberships: &mut [f64],
         sums: &mut Sums,
     ) {
         let width = track.len();
         let place = self.place(m as u32, width);
-        let squared = squared_distance(place, track);
-        let scale = self.density.scale(squared);
+        let scale = density.scale(squared);
         let weight = probability * scale;
         pull.weight[m] += weight;
         for (force, (x, t)) in pull.force[m * width..][..width].iter_mut().zip(track.iter().zip(place)) {
             *force += weight * (x - t);
         }
-        memberships[m] += probability;
         sums.membership += probability;
         sums.square += weight * squared;
-        sums.log_scale += probability * (scale.ln() - scale);
+        if matches!(self.tails, Tails::Estimated(_)) {
+            sums.log_scale += probability * (scale.ln() - scale);
+        }
+    }
+
+    fn density(&self) -> Density {
+        self.tails.density(self.second.width(), self.variance)
     }
 
     /// The pairs whose probability matters, for a field that wants its uncertainty.
-    pub fn residuals<'b>(&'b self, probabilities: &'b [f64], variance: f64) -> Residuals<'b> {
-        Residuals { expectation: self, probabilities, variance }
+    pub fn residuals<'b>(&'b self, probabilities: &'b [f64]) -> Residuals<'b> {
+        Residuals { expectation: self, density: self.density(), probabilities }
     }
 }
 
 /// The pairs at the end of the iterations, as a field's uncertainty needs them.
 pub struct Residuals<'a> {
     expectation: &'a Expectation<'a>,
+    density: Density,
     probabilities: &'a [f64],
-    variance: f64,
 }
 
 /// One pair: the first track's index, its probability τ, its scale u, 1/(ν + δ), and x − T.
@@ -137,12 +153,12 @@ pub(super) struct Residual<'a> {
 impl<'a> Residuals<'a> {
     /// Variance σ² of a coordinate about its displaced track (m²).
     pub fn variance(&self) -> f64 {
-        self.variance
+        self.expectation.variance
     }
 
     /// Displaced first tracks, M·D.
     pub fn places(&self) -> &'a [f64] {
-        self.expectation.places
+        &self.expectation.places
     }
 
     /// Number of second tracks.
@@ -152,7 +168,7 @@ impl<'a> Residuals<'a> {
 
     /// The pairs of second track `n` whose probability is not negligible.
     pub(super) fn of(&self, n: usize) -> impl Iterator<Item = Residual<'a>> {
-        let step = self.expectation;
+        let (step, density) = (self.expectation, self.density);
         let (start, members) = step.candidates.of(n);
         let width = step.second.width();
         let second = &step.second.coordinates()[n * width..][..width];
@@ -164,8 +180,8 @@ impl<'a> Residuals<'a> {
                 Residual {
                     first: m as usize,
                     probability,
-                    scale: step.density.scale(squared),
-                    slope: step.density.scale_slope(squared),
+                    scale: density.scale(squared),
+                    slope: density.scale_slope(squared),
                     second,
                     place,
                 }

@@ -31,7 +31,8 @@ pub struct Mixture {
     /// The iterations end when one raises the penalised log likelihood by less than this much a track.
     pub tolerance: f64,
     /// Whether the iterations go on with Gaussian tails once they have ended with heavy ones. Heavy tails find the field
-    /// while it is far off; tracks with Gaussian noise then tell it more exactly, and with an honest uncertainty.
+    /// while it is far off; tracks with Gaussian noise then tell it more exactly, and with an honest uncertainty. For
+    /// fields of few unknowns: a flexible one takes the noise for displacement.
     pub refine: bool,
     /// Least deviation of a coordinate about its displaced track (m), what the tracks' noise cannot be below: a flexible
     /// field would run through all tracks without it.
@@ -39,7 +40,7 @@ pub struct Mixture {
     /// A pair is declared only if it is closer than this after displacement, root mean square over the scans (m).
     pub gate: f64,
     /// Probability that Gaussian tails give to a pair farther apart than what is declared: a gate narrower than `gate`
-    /// where the deviation at the end allows it. Heavy tails allow nothing.
+    /// where the deviation at the end allows it. Heavy tails allow nothing. Zero keeps the gate.
     pub miss_probability: f64,
     /// Number of pairs up to which all are compared. Of larger sets those within ten deviations of the start are.
     pub dense_pairs: usize,
@@ -48,6 +49,17 @@ pub struct Mixture {
 }
 
 impl Mixture {
+    /// For flexible fields, which run through the tracks so closely that the deviation at the end says nothing of their
+    /// noise: neither refined nor the gate narrowed, started from displacements of this deviation (m).
+    pub fn flexible(displacement: f64) -> Self {
+        Self {
+            start: Start::Deviation(displacement),
+            refine: false,
+            miss_probability: 0.0,
+            ..Self::default()
+        }
+    }
+
     /// Checks the values.
     ///
     /// # Errors
@@ -85,8 +97,8 @@ impl Mixture {
 }
 
 impl Default for Mixture {
-    /// Student's t with three degrees of freedom beside a uniform density of weight 0.1, started at the prior's
-    /// displacement, refined with Gaussian tails; a gate of 1 km.
+    /// For fields of few unknowns: Student's t with three degrees of freedom beside a uniform density of weight 0.1,
+    /// started at the prior's displacement, refined with Gaussian tails; a gate of 1 km.
     fn default() -> Self {
         Self {
             tails: Tails::Student(3.0),

@@ -11,6 +11,9 @@ use super::error::AssociationError;
 /// tell them from a Gaussian's.
 const RANGE: [f64; 2] = [2.0, 100.0];
 
+/// Degrees of freedom beyond which nothing but rounding tells the tails from a Gaussian's.
+const MOST: f64 = 1e8;
+
 /// Tails of the mixture's components.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Tails {
@@ -26,7 +29,12 @@ impl Tails {
     pub(super) fn validate(self) -> Result<(), AssociationError> {
         match self {
             Self::Gaussian => Ok(()),
-            Self::Student(nu) | Self::Estimated(nu) => super::settings::positive("degrees_of_freedom", nu),
+            Self::Student(nu) | Self::Estimated(nu) if nu > 0.0 && nu <= MOST => Ok(()),
+            Self::Student(nu) | Self::Estimated(nu) => {
+                let problem =
+                    format!("is {nu}; it must be positive, and beyond {MOST:e} the tails are Gaussian");
+                Err(AssociationError::parameter("degrees_of_freedom", problem))
+            }
         }
     }
 

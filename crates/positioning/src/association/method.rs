@@ -171,8 +171,9 @@ impl MethodSettings {
             ("azimuth_deviation_rad", self.azimuth_deviation_rad),
         ];
         for (key, value) in positive {
-            if let Some(value) = value.filter(|value| !(*value > 0.0 && *value < 1e30)) {
-                return wrong(key, format!("is {value}; it must be positive and finite"));
+            let most = if key == "degrees_of_freedom" { 1e8 } else { 1e30 };
+            if let Some(value) = value.filter(|value| !(*value > 0.0 && *value <= most)) {
+                return wrong(key, format!("is {value}; it must be positive and at most {most:e}"));
             }
         }
         if !(0.0..1e30).contains(&self.gate_per_level_m) {

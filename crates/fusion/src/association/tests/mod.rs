@@ -106,8 +106,7 @@ fn paper() -> Mixture {
         tails: Tails::Estimated(3.0),
         outlier_weight: 0.0,
         start: Start::Spread,
-        refine: false,
-        ..Mixture::default()
+        ..Mixture::flexible(3000.0)
     }
 }
 
@@ -118,6 +117,6 @@ fn gaussian() -> Mixture {
         outlier_weight: 0.2,
         estimate_weights: false,
         start: Start::Spread,
-        ..Mixture::default()
+        ..Mixture::flexible(3000.0)
     }
 }

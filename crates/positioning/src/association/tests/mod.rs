@@ -1,5 +1,7 @@
 //! Properties of the scenario. Campaigns have a fixed seed and few runs; figures over many are in the book.
 
+mod recorded;
+
 use super::Association;
 use crate::campaign::Campaign;
 use crate::metrics::{DiagnosticValue, MethodMetrics, Report, Verdict};
