@@ -63,15 +63,9 @@ fn methods(azimuth_deviation: f64) -> Vec<(&'static str, Method)> {
         outlier_weight: 0.2,
         estimate_weights: false,
         start: Start::Spread,
-        miss_probability: 0.0,
-        ..Mixture::default()
+        ..Mixture::flexible(3000.0)
     };
-    let student = Mixture {
-        tails: Tails::Estimated(3.0),
-        start: Start::Deviation(3000.0),
-        refine: false,
-        ..Mixture::default()
-    };
+    let student = Mixture { tails: Tails::Estimated(3.0), ..Mixture::flexible(3000.0) };
     let drift = |mixture: Mixture| -> Method {
         Box::new(move |scene| {
             let mut field = CoherentDrift::new(3.0, 3.0)?;

@@ -27,7 +27,7 @@ pub fn main() -> Result<(), Box<dyn std::error::Error>> {
 
     let mut drift = CoherentDrift::new(3.0, 3.0)?;
     let mut biases = BiasField::new(scene.sensors, BiasPrior::independent(1500.0, 2.5_f64.to_radians()))?;
-    let by_drift = associate(first, second, &mut drift, &Mixture::default())?;
+    let by_drift = associate(first, second, &mut drift, &Mixture::flexible(3e3))?;
     let by_biases = associate(first, second, &mut biases, &Mixture::default())?;
     let rows = [
         ("nearest neighbour", nearest(first, second, 8e3)?),

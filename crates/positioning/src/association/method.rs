@@ -126,6 +126,7 @@ impl MethodSettings {
             refine: self
                 .refine
                 .unwrap_or(self.algorithm == Algorithm::Bias && self.outlier_weight != Some(0.0)),
+            miss_probability: if self.algorithm == Algorithm::Bias { default.miss_probability } else { 0.0 },
             least_deviation: self.least_deviation_m.unwrap_or(default.least_deviation),
             gate,
             ..default

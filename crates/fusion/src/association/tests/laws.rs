@@ -26,11 +26,12 @@ fn the_penalised_likelihood_never_falls() {
 
 #[test]
 fn most_common_targets_are_found_under_bias() {
-    // At level 2 about 0.2 % of the common targets are missed; the 78 of a set of three scenes are all found
-    // with more than 80 %, and 4 missed have a probability below 1e-4.
-    for mixture in [Mixture::default(), gaussian()] {
-        for scene in scenes().take(3) {
+    // At level 2 about 0.3 % of the common targets are missed; of some 25 of a scene 4 with a probability below 1e-5.
+    for scene in scenes().take(3) {
+        for mixture in [Mixture::default(), Mixture::flexible(3000.0), gaussian()] {
             assert!(scene.correct(&by_bias(&scene, &mixture).0) > 0.84);
+        }
+        for mixture in [Mixture::flexible(3000.0), gaussian()] {
             assert!(scene.correct(&by_drift(&scene, &mixture)) > 0.84);
         }
     }
@@ -40,9 +41,7 @@ fn most_common_targets_are_found_under_bias() {
 fn many_degrees_of_freedom_are_a_gaussian() {
     for scene in scenes() {
         let exact = Mixture { estimate_weights: true, ..gaussian() };
-        let near =
-            Mixture { tails: Tails::Student(1e8), refine: false, miss_probability: 0.0, ..exact.clone() };
-        let exact = Mixture { miss_probability: 0.0, ..exact };
+        let near = Mixture { tails: Tails::Student(1e8), ..exact.clone() };
         let (a, b) = (by_drift(&scene, &exact), by_drift(&scene, &near));
         assert_eq!(a.pairs.len(), b.pairs.len());
         for (a, b) in a.report.objective.iter().zip(&b.report.objective) {
