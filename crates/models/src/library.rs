@@ -1,5 +1,6 @@
 //! Factors that every user of positioning expects.
 
+mod acoustic;
 mod bearing;
 mod checks;
 mod constant_velocity;
@@ -15,6 +16,7 @@ mod range_clique;
 mod relative;
 mod unicycle;
 
+pub use acoustic::{NodePseudoRange, PseudoRange, RoundTrip, TravelTime};
 pub use bearing::{Bearing, RangeBearing};
 pub use constant_velocity::ConstantVelocity;
 pub use coordinated_turn::CoordinatedTurn;

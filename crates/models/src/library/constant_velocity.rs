@@ -28,6 +28,27 @@ impl ConstantVelocity {
         Self::with_factor(axes, interval, &lower, 2, density)
     }
 
+    /// White acceleration of a density (m²/s³) of its own along each axis: a vehicle that accelerates differently up and
+    /// down, or a clock's offset and rate beside a position and velocity.
+    ///
+    /// # Errors
+    ///
+    /// Where the interval or a density is not positive and finite.
+    pub fn white_accelerations(interval: f64, densities: &[f64]) -> Result<Self, MessageError> {
+        let mut motion = Self::white_acceleration(densities.len(), interval, 1.0)?;
+        let width = motion.noise.sources();
+        let mut factor = motion.noise.factor().to_vec();
+        for (rows, &density) in factor.chunks_exact_mut(2 * width).zip(densities) {
+            positive("the density of the acceleration", density)?;
+            rows.iter_mut().for_each(|entry| *entry *= density.sqrt());
+        }
+        let ones: Vec<f64> =
+            (0..width * width).map(|k| f64::from(u8::from(k.is_multiple_of(width + 1)))).collect();
+        motion.noise = ProcessNoise::driven(&factor, &ones)?;
+        finite("an entry of the process noise", &motion.noise.covariance())?;
+        Ok(motion)
+    }
+
     /// An acceleration w of variance `variance` (m²/s⁴) held over each interval: x' = F x + G w, per axis
     /// G = [T²/2; T]. Its covariance has rank one per axis (Fan, Wang and Zhou 2018, section 3).
     ///
@@ -115,6 +136,23 @@ mod tests {
             assert!((0..6).all(|row| transition[row * 6 + k] == column[row]), "{k}");
             unit[k] = 0.0;
         }
+    }
+
+    #[test]
+    fn each_axis_has_the_noise_of_its_own_density() {
+        let both = ConstantVelocity::white_accelerations(0.7, &[0.3, 4.0]).unwrap();
+        let covariance = both.noise(&[0.0; 4]).covariance();
+        for (axis, density) in [0.3, 4.0].into_iter().enumerate() {
+            let alone = ConstantVelocity::white_acceleration(1, 0.7, density).unwrap();
+            let alone = alone.noise(&[0.0; 2]).covariance();
+            for (row, column) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
+                let entry = covariance[(2 * axis + row) * 4 + 2 * axis + column];
+                assert!((entry - alone[2 * row + column]).abs() < 1e-14);
+                assert_eq!(covariance[(2 * axis + row) * 4 + (2 - 2 * axis) + column], 0.0);
+            }
+        }
+        assert!(ConstantVelocity::white_accelerations(0.7, &[0.3, 0.0]).is_err());
+        assert!(ConstantVelocity::white_accelerations(0.7, &[]).is_err());
     }
 
     #[test]

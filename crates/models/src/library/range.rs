@@ -21,7 +21,7 @@ pub fn distance<T: Real>(x: T, y: T) -> T {
 
 /// The length of a vector; its derivatives are finite everywhere.
 #[inline]
-fn length<T: Real, const N: usize>(offset: [T; N]) -> T {
+pub(super) fn length<T: Real, const N: usize>(offset: [T; N]) -> T {
     let squared = offset.into_iter().fold(T::from(0.0), |sum, x| sum + x * x);
     // At coincident points the derivative of the root does not exist; the direction is left open.
     // Particles need no derivative.
@@ -81,11 +81,11 @@ impl<const N: usize> Residual for Range<N> {
 }
 
 /// Refuses what no range to an anchor can be made of.
-fn check_anchor_range(
+fn check_anchor_range<const N: usize>(
     measured: f64,
-    anchor: [f64; 2],
+    anchor: [f64; N],
     dimension: usize,
-    position: [usize; 2],
+    position: [usize; N],
     noise: &Noise,
 ) -> Result<(), MessageError> {
     finite("the measured range", &[measured])?;
@@ -94,17 +94,17 @@ fn check_anchor_range(
     size("the noise of the range", noise.dimension(), 1)
 }
 
-/// The measured distance z to an anchor at a known position: r = |p - a| - z.
+/// The measured distance z to an anchor at a known position, in the plane or in `N` dimensions: r = |p - a| - z.
 #[derive(Clone, Debug)]
-pub struct AnchorRange {
+pub struct AnchorRange<const N: usize = 2> {
     measured: f64,
-    anchor: [f64; 2],
+    anchor: [f64; N],
     dimensions: [usize; 1],
-    position: [usize; 2],
+    position: [usize; N],
     noise: Noise,
 }
 
-impl AnchorRange {
+impl<const N: usize> AnchorRange<N> {
     /// A range (m) from a variable of this dimension, its position at these coordinates, to an anchor (m).
     ///
     /// # Errors
@@ -113,9 +113,9 @@ impl AnchorRange {
     /// component.
     pub fn new(
         measured: f64,
-        anchor: [f64; 2],
+        anchor: [f64; N],
         dimension: usize,
-        position: [usize; 2],
+        position: [usize; N],
         noise: Noise,
     ) -> Result<Self, MessageError> {
         check_anchor_range(measured, anchor, dimension, position, &noise)?;
@@ -123,7 +123,7 @@ impl AnchorRange {
     }
 }
 
-impl Residual for AnchorRange {
+impl<const N: usize> Residual for AnchorRange<N> {
     fn dimensions(&self) -> &[usize] {
         &self.dimensions
     }
@@ -138,30 +138,41 @@ impl Residual for AnchorRange {
 
     #[inline]
     fn residual<T: Real>(&self, x: &[&[T]], out: &mut [T]) {
-        let [east, north] = self.position;
-        out[0] = distance(x[0][east] - self.anchor[0], x[0][north] - self.anchor[1]) - self.measured;
+        let offset = std::array::from_fn::<T, N, _>(|k| x[0][self.position[k]] - self.anchor[k]);
+        out[0] = length(offset) - self.measured;
     }
 
     fn sampler(&self, _port: Port) -> Option<&dyn PortSampler> {
-        // A ring determines a position alone.
-        (self.dimensions[0] == 2).then_some(self)
+        // A ring or sphere determines a position alone.
+        (self.dimensions[0] == N).then_some(self)
     }
 
     fn ring(&self, _port: Port) -> Option<Ring> {
-        let centre = RingCentre::Fixed(self.anchor);
-        Some(Ring { radius: self.measured, position: self.position, centre })
+        // A ring is one of the plane.
+        let centre = RingCentre::Fixed(<[f64; 2]>::try_from(self.anchor.as_slice()).ok()?);
+        let position = <[usize; 2]>::try_from(self.position.as_slice()).ok()?;
+        Some(Ring { radius: self.measured, position, centre })
     }
 }
 
-impl PortSampler for AnchorRange {
-    /// A point of the ring: uniform angle, radius z + v. The plane density of such points falls as one over the
-    /// radius, which matters only where the noise is not small against the range.
+impl<const N: usize> PortSampler for AnchorRange<N> {
+    /// A point of the ring or sphere: uniform direction, radius z + v. The density of such points falls as a power of
+    /// one over the radius, which matters only where the noise is not small against the range.
     fn sample(&self, _others: &[&[f64]], out: &mut [f64], random: &mut FastStream) {
-        let angle = TAU * random.random::<f64>();
+        let mut direction = [0.0; N];
+        if let [x, y] = direction.as_mut_slice() {
+            let angle = TAU * random.random::<f64>();
+            (*x, *y) = (angle.cos(), angle.sin());
+        } else {
+            direction.fill_with(|| StandardNormal.sample(random));
+            let size = length(direction).max(f64::MIN_POSITIVE);
+            direction.iter_mut().for_each(|entry| *entry /= size);
+        }
         let error: f64 = StandardNormal.sample(random);
         let radius = (self.measured + self.noise.covariance()[0].sqrt() * error).abs();
-        out[self.position[0]] = self.anchor[0] + radius * angle.cos();
-        out[self.position[1]] = self.anchor[1] + radius * angle.sin();
+        for ((place, anchor), direction) in self.position.iter().zip(&self.anchor).zip(direction) {
+            out[*place] = anchor + radius * direction;
+        }
     }
 }
 
