@@ -12,6 +12,7 @@ use sumprod_positioning::range_slam::RangeSlam;
 use sumprod_positioning::robots::mrclam::Mrclam;
 use sumprod_positioning::robots::plaza::Plaza;
 use sumprod_positioning::scenario::Scenario;
+use sumprod_positioning::seafloor::Seafloor;
 use sumprod_positioning::static_network::StaticNetwork;
 use sumprod_positioning::walk::Walk as RadioWalk;
 use sumprod_positioning::wsn::Wsn;
@@ -44,6 +45,7 @@ pub const SYSTEMS: &[&str] = &[
     Wsn::SYSTEM,
     Fusion::SYSTEM,
     Association::SYSTEM,
+    Seafloor::SYSTEM,
     #[cfg(test)]
     crate::testing::Walk::SYSTEM,
 ];
@@ -65,6 +67,7 @@ pub fn dispatch<A: Action>(document: &Document, action: A) -> Result<A::Output, 
         Wsn::SYSTEM => action.on::<Wsn>(document),
         Fusion::SYSTEM => action.on::<Fusion>(document),
         Association::SYSTEM => action.on::<Association>(document),
+        Seafloor::SYSTEM => action.on::<Seafloor>(document),
         #[cfg(test)]
         crate::testing::Walk::SYSTEM => action.on::<crate::testing::Walk>(document),
         unknown => {

@@ -3,6 +3,7 @@
 use std::error::Error;
 use std::path::{Path, PathBuf};
 
+use sumprod_exact::ExactError;
 use thiserror::Error as ThisError;
 
 /// Why a scenario cannot be read, prepared, run or judged.
@@ -150,6 +151,18 @@ fn place(path: &Path, line: Option<usize>) -> String {
     match line {
         Some(line) => format!("{}:{line}", path.display()),
         None => path.display().to_string(),
+    }
+}
+
+/// An error of the exact solver as one of the input, where it is one.
+pub(crate) fn unsolvable(error: ExactError) -> PositioningError {
+    match error {
+        ExactError::File { path, line, problem } => PositioningError::Data { path, line, problem },
+        ExactError::Unobservable(free) => {
+            let sentences: Vec<String> = free.iter().map(ToString::to_string).collect();
+            PositioningError::Unsolvable { problem: sentences.join("; ") }
+        }
+        other => PositioningError::Unsolvable { problem: other.to_string() },
     }
 }
 

@@ -18,6 +18,7 @@
 //! | [`robots`] | robots located on recorded data |
 //! | [`kcpf`] | the growth model and the coordinated turn of the knowledge-board paper |
 //! | [`walk`] | a person tracked by the links of a recorded radio network |
+//! | [`seafloor`] | an instrument at the bottom of the sea, located by a ship's pings |
 //! | [`error`] | the crate's error |
 
 pub mod association;
@@ -36,6 +37,7 @@ pub mod range_slam;
 pub mod results;
 pub mod robots;
 pub mod scenario;
+pub mod seafloor;
 pub mod static_network;
 mod tracking;
 pub mod walk;

@@ -160,7 +160,7 @@ fn multiply(
     let stream = |entity| Stream::new(seed, 0, Purpose::User(0), entity);
     let chosen = method.method();
     let mut product = None;
-    let layout = StateLayout { names: vec![], position: vec![], velocity: vec![], angular: vec![] };
+    let layout = StateLayout::default();
     let done = MethodRun::timed(id, layout, |_| {
         product = Some(chosen.product(&inputs, method.samples, &mut stream(0)).map_err(failed)?);
         Ok(())

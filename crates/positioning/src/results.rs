@@ -8,8 +8,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::PositioningError;
 
-/// Which components of a state vector are positions, velocities and angles.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+/// Which components of a state vector are positions, velocities, angles and a clock.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct StateLayout {
     /// Name of each component with its unit, as column names: `x_m`, `vx_mps`, `heading_rad`.
     pub names: Vec<String>,
@@ -19,6 +19,9 @@ pub struct StateLayout {
     pub velocity: Vec<usize>,
     /// Indices of angles (rad), whose errors are wrapped to (−π, π].
     pub angular: Vec<usize>,
+    /// Indices of a clock's offset (s) and of its skew (ppm); empty where the state has no clock.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub clock: Vec<usize>,
 }
 
 impl StateLayout {
@@ -43,7 +46,22 @@ impl StateLayout {
             position: position.to_vec(),
             velocity: velocity.to_vec(),
             angular: angular.to_vec(),
+            clock: Vec::new(),
         }
+    }
+
+    /// Position and velocity in space: `[x, vx, y, vy, z, vz]`.
+    pub fn spatial_velocity() -> Self {
+        Self::of(&["x_m", "vx_mps", "y_m", "vy_mps", "z_m", "vz_mps"], &[0, 2, 4], &[1, 3, 5], &[])
+    }
+
+    /// The same state followed by a clock's offset (s) and skew (ppm).
+    #[must_use]
+    pub fn with_clock(mut self) -> Self {
+        let first = self.dimension();
+        self.names.extend(["clock_offset_s", "clock_skew_ppm"].map(str::to_owned));
+        self.clock = vec![first, first + 1];
+        self
     }
 
     /// Number of components.
@@ -58,7 +76,8 @@ impl StateLayout {
 
     /// Largest index used by any role, plus one.
     fn reach(&self) -> usize {
-        self.position.iter().chain(&self.velocity).chain(&self.angular).map(|&i| i + 1).max().unwrap_or(0)
+        let roles = [&self.position, &self.velocity, &self.angular, &self.clock];
+        roles.into_iter().flatten().map(|&i| i + 1).max().unwrap_or(0)
     }
 }
 

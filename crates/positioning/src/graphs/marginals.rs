@@ -8,7 +8,7 @@ use sumprod_graph::Space;
 
 /// Nothing of a graph is scored against a truth.
 pub(super) fn layout() -> StateLayout {
-    StateLayout { names: Vec::new(), position: Vec::new(), velocity: Vec::new(), angular: Vec::new() }
+    StateLayout::default()
 }
 
 /// By variable: mean, covariance by rows, and of poses what the covariance's rows stand for.

@@ -28,7 +28,7 @@ use sumprod_graph::{FactorGraph, Space};
 use sumprod_messages::DynamicGaussian;
 use sumprod_models::library::PoseResidual;
 
-use crate::error::PositioningError;
+use crate::error::{PositioningError, unsolvable};
 use crate::results::{MethodRun, OutputFile, RunResult};
 use crate::scenario::{FormUse, GraphSummary, Methods, RunRequest, Scenario};
 use method::{Inference, MethodSettings};
@@ -136,7 +136,7 @@ impl Graphs {
             })?),
         };
         match held {
-            Some(variable) => file.hold(variable, world.anchor_sd_m, world.anchor_sd_rad).map_err(input),
+            Some(variable) => file.hold(variable, world.anchor_sd_m, world.anchor_sd_rad).map_err(unsolvable),
             None => Ok(()),
         }
     }
@@ -208,8 +208,8 @@ impl Graphs {
                 Ok(())
             })?;
             if let (Some(answer), Inference::Joint) = (&answer, settings.inference) {
-                let problem = Problem::new(&prepared.graph).map_err(input)?;
-                let mirrored = mirror_images(&problem, &answer.values).map_err(input)?;
+                let problem = Problem::new(&prepared.graph).map_err(unsolvable)?;
+                let mirrored = mirror_images(&problem, &answer.values).map_err(unsolvable)?;
                 run.notes.extend(mirrored.iter().map(ToString::to_string));
             }
             methods.push(run);
@@ -233,24 +233,11 @@ impl Graphs {
     }
 }
 
-/// An error of the exact solver as one of the input, where it is one.
-fn input(error: ExactError) -> PositioningError {
-    match error {
-        ExactError::File { path, line, problem } => PositioningError::Data { path, line, problem },
-        ExactError::Unobservable(free) => {
-            let tell = |part: &sumprod_exact::observability::FreeDirections| part.to_string();
-            let sentences: Vec<String> = free.iter().map(tell).collect();
-            PositioningError::Unsolvable { problem: sentences.join("; ") }
-        }
-        other => PositioningError::Unsolvable { problem: other.to_string() },
-    }
-}
-
 /// A failing solve: the input's fault where the graph has no answer, else the method's.
 fn solving(id: &str, error: ExactError) -> PositioningError {
     match error {
         ExactError::NotConverged { .. } => PositioningError::method(id, error),
-        other => input(other),
+        other => unsolvable(other),
     }
 }
 
@@ -283,17 +270,17 @@ impl Scenario for Graphs {
                 "is a folder; name one graph's file with --data FILE",
             ));
         }
-        let text = read::text(path).map_err(input)?;
+        let text = read::text(path).map_err(unsolvable)?;
         if TableFile::recognises(path, &text) {
-            let file = TableFile::parse(path, &text).map_err(input)?;
-            return Ok(Prepared(Kind::States(Box::new(States::new(file).map_err(input)?))));
+            let file = TableFile::parse(path, &text).map_err(unsolvable)?;
+            return Ok(Prepared(Kind::States(Box::new(States::new(file).map_err(unsolvable)?))));
         }
-        let mut file = GraphFile::parse(path, &text).map_err(input)?;
+        let mut file = GraphFile::parse(path, &text).map_err(unsolvable)?;
         self.anchor(&mut file)?;
-        let graph = file.graph(self.world.residual.into()).map_err(input)?;
+        let graph = file.graph(self.world.residual.into()).map_err(unsolvable)?;
         let start = {
-            let problem = Problem::new(&graph).map_err(input)?;
-            self.start(&file, &problem).map_err(input)?
+            let problem = Problem::new(&graph).map_err(unsolvable)?;
+            self.start(&file, &problem).map_err(unsolvable)?
         };
         Ok(Prepared(Kind::Coordinates(Box::new(Coordinates { file, graph, start }))))
     }
@@ -316,9 +303,9 @@ impl Scenario for Graphs {
             Kind::Coordinates(prepared) => prepared,
         };
         let graph = &prepared.graph;
-        let problem = Problem::new(graph).map_err(input)?;
-        let free = free_directions(&problem, &prepared.start).map_err(input)?;
-        let mirrored = mirror_images(&problem, &prepared.start).map_err(input)?;
+        let problem = Problem::new(graph).map_err(unsolvable)?;
+        let free = free_directions(&problem, &prepared.start).map_err(unsolvable)?;
+        let mirrored = mirror_images(&problem, &prepared.start).map_err(unsolvable)?;
         let free = free.iter().map(ToString::to_string);
         let sentences: Vec<String> = free.chain(mirrored.iter().map(ToString::to_string)).collect();
         let forms = FormUse { kind: "all".into(), form: "gaussian".into(), edges: graph.edge_count() };

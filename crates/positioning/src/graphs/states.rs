@@ -8,8 +8,8 @@ use sumprod_graph::{Engine, FactorGraph, Options};
 use sumprod_messages::{Categorical, CategoricalForm};
 
 use super::method::{Inference, MethodSettings, Order, report};
-use super::{Graphs, input, marginals};
-use crate::error::PositioningError;
+use super::{Graphs, marginals};
+use crate::error::{PositioningError, unsolvable};
 use crate::results::{MethodRun, OutputFile, RunResult};
 use crate::scenario::{FormUse, GraphSummary, RunRequest};
 
@@ -187,7 +187,7 @@ impl Graphs {
                     Ok(found) => answer = Some(found),
                     Err(error) => {
                         out.notes.push(format!("no answer: {error}"));
-                        failed = Some(input(error));
+                        failed = Some(unsolvable(error));
                     }
                 }
                 Ok(())

@@ -86,7 +86,7 @@ impl Scenario for Turn {
             names: ["x_m", "vx_mps", "y_m", "vy_mps", "turn_rate_rps"].map(str::to_owned).to_vec(),
             position: vec![0, 2],
             velocity: vec![1, 3],
-            angular: vec![],
+            ..StateLayout::default()
         };
         let mut methods = Vec::with_capacity(request.methods.len());
         for id in request.methods {

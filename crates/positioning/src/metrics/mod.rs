@@ -6,9 +6,10 @@
 //! | `rmse_m` | the same of a state that has no position, all components together |
 //! | `final_rmse_m` | the same over the last ten scored steps |
 //! | `velocity_rmse_mps` | the same of the velocity, where the state has one |
+//! | `clock_offset_rmse_s`, `clock_skew_rmse_ppm` | the same of a clock's offset and skew, where the state has one |
 //! | `error_quantiles_m` | quantiles of the position error's length, runs, nodes and steps pooled, interpolated linearly |
 //! | `per_run_p90_median_m` | median over runs of each run's 90 % error |
-//! | `nees` | normalised estimation error squared eᵀP⁻¹e of the position, the velocity and the whole state: mean, median, degrees of freedom, and the band that the mean keeps to with probability 95 % if the method is consistent |
+//! | `nees` | normalised estimation error squared eᵀP⁻¹e of the position, the velocity, the clock and the whole state: mean, median, degrees of freedom, and the band that the mean keeps to with probability 95 % if the method is consistent |
 //! | `coverage95` | share of errors inside the 95 % region of the position, or where the method gives intervals the share of components inside their central 95 % interval |
 //! | `coverage95_se` | standard error of that share over runs |
 //! | `width95` | mean width of those intervals |

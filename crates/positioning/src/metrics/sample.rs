@@ -9,11 +9,12 @@ use crate::results::{Estimate, MethodRun, StateLayout};
 /// rank-deficient covariance leaves about 15.
 const SINGULAR_PIVOT: f64 = 1e-12;
 
-/// Degrees of freedom of the three NEES blocks.
+/// Degrees of freedom of the NEES blocks.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Dimensions {
     pub position: usize,
     pub velocity: usize,
+    pub clock: usize,
     pub state: usize,
     pub scored: usize,
     /// Number of angles, which share no unit with the rest of the state.
@@ -25,6 +26,7 @@ impl Dimensions {
         Self {
             position: layout.position.len(),
             velocity: layout.velocity.len(),
+            clock: layout.clock.len(),
             state: layout.dimension(),
             scored: layout.scored().len(),
             angular: layout.angular.len(),
@@ -46,9 +48,12 @@ pub(super) struct Sample {
     pub state_squared: Option<f64>,
     /// Squared length of the velocity error (m²/s²).
     pub velocity_squared: Option<f64>,
+    /// Squared errors of a clock's offset (s²) and skew (ppm²).
+    pub clock_squared: Option<[f64; 2]>,
     /// NEES of the blocks; `None` where the covariance is singular or the block empty.
     pub position_nees: Option<f64>,
     pub velocity_nees: Option<f64>,
+    pub clock_nees: Option<f64>,
     pub state_nees: Option<f64>,
     /// Whether the 95 % region of the position (of the whole state, where it has none) holds the truth, as 0 or 1;
     /// where there are intervals the share of them that do.
@@ -99,8 +104,13 @@ pub(super) fn samples(run: usize, method: &MethodRun) -> impl Iterator<Item = Sa
             time: estimate.time,
             position_squared,
             velocity_squared: errors(&layout.velocity),
+            clock_squared: match layout.clock[..] {
+                [offset, skew] => Some([offset, skew].map(|k| estimate.error_at(k, layout).powi(2))),
+                _ => None,
+            },
             position_nees,
             velocity_nees: nees(&estimate, layout, &layout.velocity, &mut work),
+            clock_nees: nees(&estimate, layout, &layout.clock, &mut work),
             state_nees,
             state_squared,
             covered,

@@ -49,7 +49,7 @@ pub struct Nees<T> {
 }
 
 /// NEES of the blocks that the state has.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct NeesBlocks<T> {
     /// Of the position.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -57,6 +57,9 @@ pub struct NeesBlocks<T> {
     /// Of the velocity.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub velocity: Option<Nees<T>>,
+    /// Of the clock.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub clock: Option<Nees<T>>,
     /// Of the whole state.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub state: Option<Nees<T>>,
@@ -74,6 +77,12 @@ pub struct Summary<T> {
     /// Root mean squared velocity error (m/s).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub velocity_rmse_mps: Option<Statistic<T>>,
+    /// Root mean squared error of a clock's offset (s).
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub clock_offset_rmse_s: Option<Statistic<T>>,
+    /// Root mean squared error of a clock's skew (ppm).
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub clock_skew_rmse_ppm: Option<Statistic<T>>,
     /// Quantiles of the position error (m).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub error_quantiles_m: Option<Quantiles<T>>,
@@ -96,15 +105,18 @@ impl Summary<f64> {
         let blocks = NeesBlocks {
             position: nees(samples, dimensions.position, |sample| sample.position_nees),
             velocity: nees(samples, dimensions.velocity, |sample| sample.velocity_nees),
+            clock: nees(samples, dimensions.clock, |sample| sample.clock_nees),
             state: nees(samples, dimensions.state, |sample| sample.state_nees),
         };
-        let any = blocks.position.is_some() || blocks.velocity.is_some() || blocks.state.is_some();
+        let any = blocks != NeesBlocks::default();
         let scored = dimensions.scored > 0 && !samples.is_empty();
         let widths: Option<Vec<f64>> = samples.iter().map(|sample| sample.width).collect();
         Self {
             position_rmse_m: rmse(samples, |sample| sample.position_squared),
             rmse_m: rmse(samples, |sample| sample.state_squared.filter(|_| dimensions.angular == 0)),
             velocity_rmse_mps: rmse(samples, |sample| sample.velocity_squared),
+            clock_offset_rmse_s: rmse(samples, |sample| sample.clock_squared.map(|[offset, _]| offset)),
+            clock_skew_rmse_ppm: rmse(samples, |sample| sample.clock_squared.map(|[_, skew]| skew)),
             error_quantiles_m: quantiles(samples),
             nees: any.then_some(blocks),
             coverage95: scored.then(|| mean(samples.iter().map(|sample| sample.covered))),
@@ -139,9 +151,10 @@ impl Summary<Vec<f64>> {
         let blocks = NeesBlocks {
             position: block(|blocks| blocks.position.as_ref()),
             velocity: block(|blocks| blocks.velocity.as_ref()),
+            clock: block(|blocks| blocks.clock.as_ref()),
             state: block(|blocks| blocks.state.as_ref()),
         };
-        let any = blocks.position.is_some() || blocks.velocity.is_some() || blocks.state.is_some();
+        let any = blocks != NeesBlocks::default();
         let quantiles = || {
             Some(Quantiles {
                 p50: quantile(|q| q.p50)?,
@@ -154,6 +167,8 @@ impl Summary<Vec<f64>> {
             position_rmse_m: statistic(|row| row.position_rmse_m.as_ref()),
             rmse_m: statistic(|row| row.rmse_m.as_ref()),
             velocity_rmse_mps: statistic(|row| row.velocity_rmse_mps.as_ref()),
+            clock_offset_rmse_s: statistic(|row| row.clock_offset_rmse_s.as_ref()),
+            clock_skew_rmse_ppm: statistic(|row| row.clock_skew_rmse_ppm.as_ref()),
             error_quantiles_m: quantiles(),
             nees: any.then_some(blocks),
             coverage95: column(rows, |row| row.coverage95),

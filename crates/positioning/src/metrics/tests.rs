@@ -224,7 +224,7 @@ fn results_that_do_not_fit_together_are_refused() {
 
 #[test]
 fn a_state_without_a_position_is_judged_by_its_intervals() {
-    let layout = StateLayout { names: vec!["x".into()], position: vec![], velocity: vec![], angular: vec![] };
+    let layout = StateLayout { names: vec!["x".into()], ..StateLayout::default() };
     let run = |run: u32, truths: &[f64]| {
         let mut method = MethodRun::new("m", layout.clone());
         for (step, &truth) in truths.iter().enumerate() {
@@ -244,4 +244,25 @@ fn a_state_without_a_position_is_judged_by_its_intervals() {
     let last_ten = (truths[2..].iter().map(|x| x * x).sum::<f64>() / 10.0).sqrt();
     assert!((metrics.final_rmse_m.as_ref().unwrap().mean - last_ten).abs() < 1e-12);
     assert_eq!(metrics.calibration().unwrap().verdict, Verdict::Overconfident);
+}
+
+#[test]
+fn a_clock_is_judged_by_itself() {
+    let layout = StateLayout::spatial_velocity().with_clock();
+    assert_eq!((layout.dimension(), &layout.clock[..]), (8, &[6, 7][..]));
+    let mut method = MethodRun::new("m", layout);
+    let mut covariance = vec![0.0; 64];
+    covariance.iter_mut().step_by(9).for_each(|entry| *entry = 1.0);
+    (covariance[6 * 9], covariance[7 * 9]) = (4e-6, 25.0);
+    let mut mean = [0.0; 8];
+    (mean[6], mean[7]) = (4e-3, 5.0);
+    method.push(1, 0.0, 0, &[0.0; 8], &mean, &covariance).unwrap();
+    let report = Report::new("s", 1, &[run_of(0, method)]).unwrap();
+    let summary = &report.method("m").unwrap().summary;
+    assert!((summary.clock_offset_rmse_s.as_ref().unwrap().mean - 4e-3).abs() < 1e-18);
+    assert!((summary.clock_skew_rmse_ppm.as_ref().unwrap().mean - 5.0).abs() < 1e-12);
+    let nees = summary.nees.as_ref().unwrap();
+    let (clock, state) = (nees.clock.as_ref().unwrap(), nees.state.as_ref().unwrap());
+    assert!((clock.mean - 5.0).abs() < 1e-12 && clock.dof == 2);
+    assert!((state.mean - 5.0).abs() < 1e-12 && state.dof == 8);
 }

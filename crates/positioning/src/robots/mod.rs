@@ -17,7 +17,7 @@ pub mod table;
 
 pub mod particles;
 
-mod numbers;
+pub(crate) mod numbers;
 #[cfg(test)]
 pub(crate) mod scratch;
 
