@@ -37,6 +37,8 @@ mod pose_graph;
 mod swap_forms;
 #[path = "../examples/switching.rs"]
 mod switching;
+#[path = "../examples/underwater.rs"]
+mod underwater;
 
 macro_rules! run {
     ($($example:ident),*) => {$(
@@ -66,7 +68,8 @@ mod of {
         p_mpa,
         pose_graph,
         swap_forms,
-        switching
+        switching,
+        underwater
     );
 
     #[test]

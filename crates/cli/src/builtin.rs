@@ -31,6 +31,7 @@ pub const BUILTINS: &[Builtin] = &[
     Builtin { name: "fusion-star", text: include_str!("../scenarios/fusion-star.toml") },
     Builtin { name: "fusion-hierarchy", text: include_str!("../scenarios/fusion-hierarchy.toml") },
     Builtin { name: "fusion-ring", text: include_str!("../scenarios/fusion-ring.toml") },
+    Builtin { name: "underwater", text: include_str!("../scenarios/underwater.toml") },
     Builtin { name: "seafloor", text: include_str!("../scenarios/seafloor.toml") },
     Builtin { name: "graph", text: include_str!("../scenarios/graph.toml") },
     Builtin { name: "association", text: include_str!("../scenarios/association.toml") },

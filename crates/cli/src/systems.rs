@@ -14,6 +14,7 @@ use sumprod_positioning::robots::plaza::Plaza;
 use sumprod_positioning::scenario::Scenario;
 use sumprod_positioning::seafloor::Seafloor;
 use sumprod_positioning::static_network::StaticNetwork;
+use sumprod_positioning::underwater::Underwater;
 use sumprod_positioning::walk::Walk as RadioWalk;
 use sumprod_positioning::wsn::Wsn;
 
@@ -45,6 +46,7 @@ pub const SYSTEMS: &[&str] = &[
     Wsn::SYSTEM,
     Fusion::SYSTEM,
     Association::SYSTEM,
+    Underwater::SYSTEM,
     Seafloor::SYSTEM,
     #[cfg(test)]
     crate::testing::Walk::SYSTEM,
@@ -67,6 +69,7 @@ pub fn dispatch<A: Action>(document: &Document, action: A) -> Result<A::Output, 
         Wsn::SYSTEM => action.on::<Wsn>(document),
         Fusion::SYSTEM => action.on::<Fusion>(document),
         Association::SYSTEM => action.on::<Association>(document),
+        Underwater::SYSTEM => action.on::<Underwater>(document),
         Seafloor::SYSTEM => action.on::<Seafloor>(document),
         #[cfg(test)]
         crate::testing::Walk::SYSTEM => action.on::<crate::testing::Walk>(document),

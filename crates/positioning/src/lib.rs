@@ -19,6 +19,7 @@
 //! | [`kcpf`] | the growth model and the coordinated turn of the knowledge-board paper |
 //! | [`walk`] | a person tracked by the links of a recorded radio network |
 //! | [`seafloor`] | an instrument at the bottom of the sea, located by a ship's pings |
+//! | [`underwater`] | nodes in the sea that locate themselves and set their clocks by sound |
 //! | [`error`] | the crate's error |
 
 pub mod association;
@@ -40,6 +41,7 @@ pub mod scenario;
 pub mod seafloor;
 pub mod static_network;
 mod tracking;
+pub mod underwater;
 pub mod walk;
 pub mod wsn;
 

@@ -33,5 +33,6 @@ chapters! {
     Association: "../../../docs/src/association.md",
     Cooperation: "../../../docs/src/cooperation.md",
     RangeSlam: "../../../docs/src/range-slam.md",
+    Underwater: "../../../docs/src/underwater.md",
     Decisions: "../../../docs/src/decisions.md",
 }

@@ -67,6 +67,7 @@ proptest! {
         prop_assert_eq!(check_residual(&between, &[&x, &y], 1e-6), Ok(()));
         let trip = RoundTrip::new(z, anchor, SPEED, 0.5, 8, noise()).unwrap();
         prop_assert_eq!(check_residual(&trip, &[&x], 1e-6), Ok(()));
+        prop_assert_eq!(check_residual(&trip.clone().still_outward(), &[&x], 1e-6), Ok(()));
         let trip = trip.replying_from(1.0).unwrap();
         prop_assert_eq!(check_residual(&trip, &[&x, &y], 1e-6), Ok(()));
         let travel = TravelTime::new(z / SPEED, anchor, [1.0, 2.0, 3.0], 0.013, noise()).unwrap();

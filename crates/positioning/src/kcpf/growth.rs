@@ -71,8 +71,7 @@ impl Scenario for Growth {
 
     fn run(&self, (): &(), request: RunRequest<'_>) -> Result<RunResult, PositioningError> {
         let steps = self.world.simulate(request.seed, request.run)?;
-        let layout =
-            StateLayout { names: vec!["x".into()], ..StateLayout::default() };
+        let layout = StateLayout { names: vec!["x".into()], ..StateLayout::default() };
         let mut methods = Vec::with_capacity(request.methods.len());
         for id in request.methods {
             let (method, seed) = (self.method.named(id)?, request.method_seed(id));

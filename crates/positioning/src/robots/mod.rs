@@ -32,7 +32,7 @@ fn pose_of(state: &Moments) -> Moments {
 }
 
 /// Mean and covariance of `length` coordinates from `first` on.
-fn marginal(state: &Moments, first: usize, length: usize) -> Moments {
+pub(crate) fn marginal(state: &Moments, first: usize, length: usize) -> Moments {
     let own = first..first + length;
     let rows = own.clone().flat_map(|row| own.clone().map(move |column| (row, column)));
     Moments {

@@ -73,8 +73,10 @@ pub struct MethodSettings {
 
 impl MethodSettings {
     fn validate(&self, id: &str) -> Result<(), PositioningError> {
-        let (Kernel::Huber(width) | Kernel::Cauchy(width) | Kernel::GemanMcclure(width) | Kernel::Tukey(width)) =
-            self.kernel
+        let (Kernel::Huber(width)
+        | Kernel::Cauchy(width)
+        | Kernel::GemanMcclure(width)
+        | Kernel::Tukey(width)) = self.kernel
         else {
             return Ok(());
         };
@@ -86,7 +88,8 @@ impl WorldSettings {
     fn validate(&self) -> Result<(), PositioningError> {
         let plain = |letter: char| letter.is_ascii_alphanumeric() || "-_.".contains(letter);
         if self.station.is_empty() || self.station.starts_with('.') || !self.station.chars().all(plain) {
-            let problem = format!("is {:?}; a station is named by letters and digits, for instance CC03", self.station);
+            let problem =
+                format!("is {:?}; a station is named by letters and digits, for instance CC03", self.station);
             return Err(PositioningError::setting("world.station", problem));
         }
         if !self.turn_around_s.is_finite() {

@@ -11,8 +11,7 @@ const PINGS: &str = ".txt";
 const PUBLISHED: &str = "_location.txt";
 
 /// Where a ping's fields stand: a word that must be there, or a field.
-const LAYOUT: &str =
-    "6306 msec. Lat: 4 52.9270 S Lon: 132 41.4272 W Alt: 29.42 Time(UTC): 2018:114:06:04:30";
+const LAYOUT: &str = "6306 msec. Lat: 4 52.9270 S Lon: 132 41.4272 W Alt: 29.42 Time(UTC): 2018:114:06:04:30";
 
 /// One ping that was answered.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -65,7 +64,8 @@ impl Recording {
     pub fn read(folder: &Path, station: &str) -> Result<Self, PositioningError> {
         let path = folder.join(format!("{station}{PINGS}"));
         if !path.is_file() {
-            let stations: Vec<String> = matching(folder, "", PINGS)?.into_iter().map(|(name, _)| name).collect();
+            let stations: Vec<String> =
+                matching(folder, "", PINGS)?.into_iter().map(|(name, _)| name).collect();
             let known = if stations.is_empty() { "none".to_owned() } else { stations.join(", ") };
             let problem = format!("holds no station {station} (file {station}{PINGS}); it holds {known}");
             return Err(PositioningError::data(folder, None, problem));
@@ -85,7 +85,9 @@ impl Recording {
         let at = |problem: String| PositioningError::data(path, None, problem);
         if drop_point[0].abs() > 90.0 || drop_point[1].abs() > 360.0 {
             let [latitude, longitude] = drop_point;
-            return Err(at(format!("the drop point is at {latitude}, {longitude} degrees, which is no place on earth")));
+            return Err(at(format!(
+                "the drop point is at {latitude}, {longitude} degrees, which is no place on earth"
+            )));
         }
         if depth <= 0.0 {
             return Err(at(format!("the depth is {depth} m; it must be positive")));
@@ -104,7 +106,8 @@ impl Recording {
             if line.1.starts_with("Event skipped") {
                 recording.skipped += 1;
             } else if line.1.starts_with(|first: char| first.is_ascii_digit() || "+-.".contains(first)) {
-                let ping = ping(line).map_err(|problem| PositioningError::data(path, Some(line.0), problem))?;
+                let ping =
+                    ping(line).map_err(|problem| PositioningError::data(path, Some(line.0), problem))?;
                 recording.pings.push(ping);
             }
         }
@@ -126,7 +129,8 @@ fn number_after(path: &Path, text: &str, name: &str) -> Result<f64, PositioningE
         if let Some(rest) = line.trim_start().strip_prefix(name) {
             let word = rest.split_whitespace().next().unwrap_or("");
             let field = name.trim_end_matches(':');
-            return number(word, field).map_err(|problem| PositioningError::data(path, Some(index + 1), problem));
+            return number(word, field)
+                .map_err(|problem| PositioningError::data(path, Some(index + 1), problem));
         }
     }
     Err(PositioningError::data(path, None, format!("has no line `{name}` with a number")))
@@ -144,13 +148,31 @@ fn number(word: &str, field: &str) -> Result<f64, String> {
 /// A number within limits, the upper one not included.
 fn limited(word: &str, field: &str, [low, high]: [f64; 2]) -> Result<f64, String> {
     let value = number(word, field)?;
-    if (low..high).contains(&value) { Ok(value) } else { Err(format!("{field} is {value}; it must lie between {low} and {high}")) }
+    if (low..high).contains(&value) {
+        Ok(value)
+    } else {
+        Err(format!("{field} is {value}; it must lie between {low} and {high}"))
+    }
 }
 
 fn ping((line, text): (usize, &str)) -> Result<Ping, String> {
     let words: Vec<&str> = text.split_whitespace().collect();
-    let [time, "msec.", "Lat:", north, north_minutes, north_side, "Lon:", east, east_minutes, east_side, "Alt:", height, "Time(UTC):", clock] =
-        words[..]
+    let [
+        time,
+        "msec.",
+        "Lat:",
+        north,
+        north_minutes,
+        north_side,
+        "Lon:",
+        east,
+        east_minutes,
+        east_side,
+        "Alt:",
+        height,
+        "Time(UTC):",
+        clock,
+    ] = words[..]
     else {
         return Err(format!("the line is no ping of {} words like `{LAYOUT}`", LAYOUT.split(' ').count()));
     };

@@ -53,8 +53,9 @@ impl Network {
         let position = graph.variable("position", Space::real(3)).map_err(build)?;
         let sound_speed = graph.variable("sound speed", Space::real(1)).map_err(build)?;
         let noise = |key: &str, variances: &[f64]| {
-            Noise::diagonal(variances)
-                .map_err(|error| PositioningError::setting(format!("world.{key}"), format!("is unusable: {error}")))
+            Noise::diagonal(variances).map_err(|error| {
+                PositioningError::setting(format!("world.{key}"), format!("is unusable: {error}"))
+            })
         };
         let (speed, variance) = match world.fixed_sound_speed {
             Some(speed) => (speed, HELD),
@@ -75,8 +76,9 @@ impl Network {
         for ping in &recording.pings {
             let ship = frame.local(ping.place);
             let factor = TravelTime::new(ping.travel_time, ship, ship, world.turn_around_s, timing.clone());
-            let factor = factor
-                .map_err(|error| PositioningError::data(&recording.path, Some(ping.line), error.to_string()))?;
+            let factor = factor.map_err(|error| {
+                PositioningError::data(&recording.path, Some(ping.line), error.to_string())
+            })?;
             graph.add(PING, factor.clone(), &[position, sound_speed]).map_err(build)?;
             pings.push(factor);
         }

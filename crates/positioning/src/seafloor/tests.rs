@@ -41,16 +41,21 @@ fn told(result: &RunResult, name: &str) -> f64 {
 fn the_place_and_the_speed_come_back_through_outliers() {
     let (place, speed) = ([140.0, -60.0, -4730.0], 1507.0);
     let result = run(&scenario("AA01"), &around(place, speed));
-    for (name, expected) in
-        [("position.x_m", place[0]), ("position.y_m", place[1]), ("position.z_m", place[2]), ("sound_speed_mps", speed)]
-    {
+    for (name, expected) in [
+        ("position.x_m", place[0]),
+        ("position.y_m", place[1]),
+        ("position.z_m", place[2]),
+        ("sound_speed_mps", speed),
+    ] {
         assert!((told(&result, name) - expected).abs() < 0.3, "{name}: {}", told(&result, name));
     }
     assert_eq!((told(&result, "pings.outliers"), told(&result, "pings.unanswered")), (6.0, 2.0));
     assert!(told(&result, "residual_rms_ms") < 0.1);
     assert!(result.methods[0].notes.is_empty());
     let estimates = &result.files[0];
-    assert!(estimates.name == "estimates.csv" && estimates.contents.starts_with("station,x,y,z,sound_speed,"));
+    assert!(
+        estimates.name == "estimates.csv" && estimates.contents.starts_with("station,x,y,z,sound_speed,")
+    );
     assert_eq!(estimates.contents.lines().count(), 2);
     assert_eq!(result.files[1].contents.lines().count(), 61);
 }
@@ -81,7 +86,9 @@ fn keys_that_mean_nothing_are_refused() {
     };
     assert!(sentence(|s| s.world.station = "../CC03".into()).starts_with("`world.station` is \"../CC03\""));
     assert!(sentence(|s| s.world.time_variance = 0.0).starts_with("`world.time_variance` is 0"));
-    assert!(sentence(|s| s.world.fixed_sound_speed = Some(-1.0)).starts_with("`world.fixed_sound_speed` is -1"));
+    assert!(
+        sentence(|s| s.world.fixed_sound_speed = Some(-1.0)).starts_with("`world.fixed_sound_speed` is -1")
+    );
     assert!(sentence(|s| s.world.turn_around_s = f64::NAN).starts_with("`world.turn_around_s` is NaN"));
     let mut scenario = scenario("CC03");
     scenario.method = Methods::new(vec![("joint".into(), MethodSettings { kernel: Kernel::Cauchy(-2.0) })]);

@@ -23,6 +23,7 @@ pub struct RoundTrip {
     delay: f64,
     /// From port 0's time to port 1's (s).
     later: f64,
+    still: bool,
     dimensions: [usize; 2],
     ports: usize,
     noise: Noise,
@@ -51,7 +52,7 @@ impl RoundTrip {
             return Err(MessageError::Dimension { what, found: dimension, expected: KINEMATICS });
         }
         let dimensions = [dimension; 2];
-        Ok(Self { measured, anchor, speed, delay, later: 0.0, dimensions, ports: 1, noise })
+        Ok(Self { measured, anchor, speed, delay, later: 0.0, still: false, dimensions, ports: 1, noise })
     }
 
     /// The reply is seen from a second state, of a time later by this (s).
@@ -62,6 +63,12 @@ impl RoundTrip {
     pub fn replying_from(self, later: f64) -> Result<Self, MessageError> {
         finite("the time between the states of a round trip", &[later])?;
         Ok(Self { later, ports: 2, ..self })
+    }
+
+    /// Takes the path out to be the distance at the emission, as if the node moved from its hearing on alone.
+    #[must_use]
+    pub fn still_outward(self) -> Self {
+        Self { still: true, ..self }
     }
 }
 
@@ -81,7 +88,8 @@ impl Residual for RoundTrip {
     #[inline]
     fn residual<T: Real>(&self, x: &[&[T]], out: &mut [T]) {
         let (position, velocity) = kinematics(x[0]);
-        let outward = pursuit(std::array::from_fn(|k| position[k] - self.anchor[k]), velocity, self.speed);
+        let offset = std::array::from_fn(|k| position[k] - self.anchor[k]);
+        let outward = if self.still { length(offset) } else { pursuit(offset, velocity, self.speed) };
         let (position, velocity) = kinematics(x[self.ports - 1]);
         let wait = outward / self.speed + (self.delay - self.later);
         let back = std::array::from_fn::<T, 3, _>(|k| position[k] + velocity[k] * wait - self.anchor[k]);
