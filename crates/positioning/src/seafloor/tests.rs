@@ -102,3 +102,34 @@ fn the_graph_is_described() {
     let summary = scenario.check(&recording, 1, &["joint".to_owned()]).unwrap();
     assert_eq!((summary[0].variables, summary[0].factors, summary[0].edges), (2, 62, 122));
 }
+
+/// The recorded pings, where they are at hand.
+fn recorded(station: &str) -> Option<Recording> {
+    let beside = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
+    let root = std::env::var_os("SUMPROD_DATA").map_or(beside, Into::into);
+    let folder = root.join("obs_ranging");
+    if !folder.is_dir() {
+        println!("skipped: the recording is not at {}", folder.display());
+        return None;
+    }
+    Some(Recording::read(&folder, station).unwrap())
+}
+
+#[test]
+fn recorded_instruments_are_where_their_authors_found_them() {
+    for (station, pings, unanswered, outliers) in [("CC03", 88, 33, 3.0), ("EC03", 49, 40, 2.0)] {
+        let Some(recording) = recorded(station) else { return };
+        assert_eq!((recording.pings.len(), recording.skipped), (pings, unanswered), "{station}");
+        let result = run(&scenario(station), &recording);
+        assert!(told(&result, "to_published.horizontal_m") < 1.5, "{station}");
+        assert!(told(&result, "to_published.depth_m").abs() < 3.0, "{station}");
+        assert!(told(&result, "to_published.sound_speed_mps").abs() < 1.0, "{station}");
+        assert_eq!(told(&result, "pings.outliers"), outliers, "{station}");
+        assert!((1.0..2.0).contains(&told(&result, "residual_rms_ms")), "{station}");
+        assert!(result.methods[0].notes.is_empty());
+    }
+    // One-way times of shots along a line: nothing here is a two-way time.
+    let Some(recording) = recorded("1AS16") else { return };
+    let result = run(&scenario("1AS16"), &recording);
+    assert!(result.methods[0].notes[0].contains("these may be no two-way times"));
+}

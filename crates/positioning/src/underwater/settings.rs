@@ -167,18 +167,18 @@ impl WorldSettings {
             not_negative(&format!("world.{key}"), value)?;
         }
         let speed = self.velocity.iter().map(|v| v * v).sum::<f64>().sqrt();
-        if !(speed < self.sound_speed) {
+        if speed.is_nan() || speed >= self.sound_speed {
             let problem = format!("is {speed} m/s fast; sound of {} m/s must be faster", self.sound_speed);
             return wrong("velocity", problem);
         }
         if !self.clock_offset_s.is_finite() {
             return wrong("clock_offset_s", format!("is {} s; it must be finite", self.clock_offset_s));
         }
-        if !(self.clock_skew_ppm.abs() < 1e5) {
+        if !(-1e5..1e5).contains(&self.clock_skew_ppm) {
             let problem = format!("is {} ppm; a clock's skew must be below a tenth", self.clock_skew_ppm);
             return wrong("clock_skew_ppm", problem);
         }
-        if !(self.epoch_s.abs() <= LATEST_S) {
+        if !(-LATEST_S..=LATEST_S).contains(&self.epoch_s) {
             let problem = format!("is {} s; beyond {LATEST_S:.0e} s times lose their digits", self.epoch_s);
             return wrong("epoch_s", problem);
         }

@@ -79,14 +79,12 @@ pub fn locate(settings: &WorldSettings, draw: &Draw, node: usize) -> Result<Star
     let graph =
         graph(settings, &heard, rate).map_err(|problem| PositioningError::setting("world", problem))?;
     let state = solve(&graph, &starts(&heard, closed_form), &heard, rate).map_err(|error| match error {
-        ExactError::Unobservable(free) => {
-            let told: Vec<String> = free.iter().map(ToString::to_string).collect();
+        ExactError::Unobservable(_) => {
+            let (number, count) = (node + 1, heard.len());
             let problem = format!(
-                "{} anchors cannot tell the clock of node {node} from its ranges: coordinates 0, 2 and 4 are its \
-                 position, 6 and 7 its clock's offset and rate, and {}; a position in space and a clock need 4 anchors \
-                 that are not in one plane",
-                heard.len(),
-                told.join("; ")
+                "{count} anchors cannot tell the clock of node {number} from its ranges: it may be elsewhere and its \
+                 clock ahead by as much with no pseudo-range changed; a position in space and a clock need 4 anchors \
+                 or more, in different directions"
             );
             PositioningError::Unsolvable { problem }
         }

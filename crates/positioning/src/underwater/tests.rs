@@ -175,7 +175,7 @@ fn a_clock_that_cannot_be_told_from_ranges_is_refused() {
         let error = scenario.run(&(), RunRequest { seed: 1, run: 0, methods: &methods }).unwrap_err();
         assert!(error.is_input());
         let sentence = error.to_string();
-        assert!(sentence.contains("anchors cannot tell the clock of node 0 from its ranges"), "{sentence}");
+        assert!(sentence.contains("anchors cannot tell the clock of node 1 from its ranges"), "{sentence}");
         let summary = scenario.check(&(), 1, &methods).unwrap().remove(0);
         assert!(summary.unconstrained[0].contains("cannot tell the clock"));
     }

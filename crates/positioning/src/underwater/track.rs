@@ -187,7 +187,7 @@ impl View<'_> {
     ) -> Result<(), PositioningError> {
         let id = out.id.clone();
         let at = |step: usize, reason: String| {
-            PositioningError::method(&id, format!("node {node}, frame {step}: {reason}"))
+            PositioningError::method(&id, format!("node {}, frame {step}: {reason}", node + 1))
         };
         let mut filter = Kalman::<D>::new(&marginal(&self.starts[node].state, 0, D))
             .map_err(|error| at(0, error.to_string()))?;
