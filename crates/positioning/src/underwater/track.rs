@@ -1,6 +1,8 @@
 //! Filters of one node: a prediction to each emission, a correction by what came of it.
 
-use sumprod_filters::{Correct, Filter, FilterError, Kalman, Predict};
+use std::error::Error;
+
+use sumprod_filters::{Correct, Filter, Kalman, Predict};
 use sumprod_graph::MessageError;
 use sumprod_messages::Moments;
 use sumprod_models::library::{AnchorRange, ConstantVelocity, PseudoRange};
@@ -18,6 +20,9 @@ use crate::robots::marginal;
 const KINEMATICS: usize = 6;
 /// Places of the position in it.
 const POSITION: [usize; 3] = [0, 2, 4];
+
+/// Why a frame came to nothing.
+pub type Failure = Box<dyn Error + Send + Sync>;
 
 /// A run of the world as a method sees it.
 #[derive(Clone, Copy)]
@@ -196,7 +201,7 @@ impl View<'_> {
         for (step, frame) in (1..).zip(&self.draw.nodes[node].frames) {
             for emission in &frame.emissions {
                 let time = if self.method.simultaneous { frame.time } else { emission.time };
-                let mut absorb = || -> Result<(), FilterOrMessage> {
+                let mut absorb = || -> Result<(), Failure> {
                     if time > now {
                         filter.predict(motions.over(time - now)?)?;
                         now = time;
@@ -204,7 +209,7 @@ impl View<'_> {
                     filter.correct(&measure(emission)?)?;
                     Ok(())
                 };
-                absorb().map_err(|FilterOrMessage(reason)| at(step, reason))?;
+                absorb().map_err(|reason| at(step, reason.to_string()))?;
             }
             self.score(node, step, frame, &filter.moments(), out)?;
         }
@@ -251,19 +256,4 @@ const LOST: f64 = 0.1;
 fn median(mut values: Vec<f64>) -> Option<f64> {
     values.sort_by(f64::total_cmp);
     values.get(values.len() / 2).copied()
-}
-
-/// A reason from either side of a step.
-struct FilterOrMessage(String);
-
-impl From<FilterError> for FilterOrMessage {
-    fn from(error: FilterError) -> Self {
-        Self(error.to_string())
-    }
-}
-
-impl From<MessageError> for FilterOrMessage {
-    fn from(error: MessageError) -> Self {
-        Self(error.to_string())
-    }
 }

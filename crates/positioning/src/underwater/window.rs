@@ -6,13 +6,13 @@
 
 use std::collections::VecDeque;
 
-use sumprod_exact::{ExactError, Incremental};
-use sumprod_graph::{FactorGraph, GraphError, MessageError, Space, VariableId};
+use sumprod_exact::Incremental;
+use sumprod_graph::{FactorGraph, Space, VariableId};
 use sumprod_messages::DynamicGaussian;
 use sumprod_models::library::NodePseudoRange;
 use sumprod_models::{AddModel, Motion, Noise};
 
-use super::track::{Motions, View, noise};
+use super::track::{Failure, Motions, View, noise};
 use super::world::DIMENSION;
 use crate::PositioningError;
 use crate::results::MethodRun;
@@ -35,27 +35,6 @@ struct Smoother<'a> {
     now: f64,
 }
 
-/// Why a frame was not solved.
-struct Stop(String);
-
-impl From<ExactError> for Stop {
-    fn from(error: ExactError) -> Self {
-        Self(error.to_string())
-    }
-}
-
-impl From<GraphError> for Stop {
-    fn from(error: GraphError) -> Self {
-        Self(error.to_string())
-    }
-}
-
-impl From<MessageError> for Stop {
-    fn from(error: MessageError) -> Self {
-        Self(error.to_string())
-    }
-}
-
 impl View<'_> {
     /// Runs the window over all nodes.
     ///
@@ -65,7 +44,7 @@ impl View<'_> {
         let id = out.id.clone();
         let failed = |step: usize| {
             let id = id.clone();
-            move |Stop(reason): Stop| PositioningError::method(&id, format!("frame {step}: {reason}"))
+            move |reason: Failure| PositioningError::method(&id, format!("frame {step}: {reason}"))
         };
         let mut smoother = Smoother::new(*self)?;
         let mut open = VecDeque::new();
@@ -103,7 +82,7 @@ impl<'a> Smoother<'a> {
     }
 
     /// The states at the start, with their priors.
-    fn begin(&mut self) -> Result<Vec<VariableId>, Stop> {
+    fn begin(&mut self) -> Result<Vec<VariableId>, Failure> {
         for start in self.view.starts {
             let state = self.graph.unnamed_variable(Space::real(DIMENSION));
             let prior = DynamicGaussian::from_moments(&start.state.mean, &start.state.covariance)?;
@@ -115,7 +94,7 @@ impl<'a> Smoother<'a> {
     }
 
     /// Adds a frame and solves: emission by emission, those of one time together.
-    fn advance(&mut self, step: usize) -> Result<Slice, Stop> {
+    fn advance(&mut self, step: usize) -> Result<Slice, Failure> {
         let mut all = Vec::new();
         let draw = self.view.draw;
         let emissions = draw.nodes.first().map_or(0, |node| node.frames[step - 1].emissions.len());
@@ -150,7 +129,7 @@ impl<'a> Smoother<'a> {
     }
 
     /// Joins each node's newest state to one at a later time, which starts where the motion takes it.
-    fn predict(&mut self, time: f64) -> Result<(), Stop> {
+    fn predict(&mut self, time: f64) -> Result<(), Failure> {
         let motion = self.motions.over(time - self.now)?.clone();
         self.now = time;
         let mut starts = Vec::with_capacity(self.newest.len());
@@ -168,7 +147,7 @@ impl<'a> Smoother<'a> {
         Ok(())
     }
 
-    fn forget(&mut self, old: &Slice) -> Result<(), Stop> {
+    fn forget(&mut self, old: &Slice) -> Result<(), Failure> {
         self.solver.forget(&self.graph, &old.all)?;
         Ok(())
     }
