@@ -2,6 +2,7 @@
 //!
 //! | module | holds |
 //! |---|---|
+//! | [`association`] | which tracks of two sensors are of the same target, and the sensors' biases |
 //! | [`information`] | sets of observations: what a belief is made of |
 //! | [`expression`] | a set written by others, by inclusion and exclusion |
 //! | [`belief`] | what a family of beliefs must be able to do: checked division, powers |
@@ -12,6 +13,7 @@
 //! | [`information_graph`] | who knew what when: redundant paths, plans, a drawing |
 //! | [`error`] | the crate's error |
 
+pub mod association;
 pub mod belief;
 pub mod channel;
 pub mod error;
@@ -29,5 +31,3 @@ pub use information::{InformationSet, Item};
 pub use information_graph::InformationGraph;
 pub use node::{Communication, FusionNode};
 pub use rule::{Intersection, IntersectionKind, Outcome, Rule};
-
-pub mod association;

@@ -145,7 +145,7 @@ impl Scenario for Association {
             let method = self.method.named(id)?;
             let layout = match method.algorithm {
                 Algorithm::Bias => biases(),
-                _ => StateLayout { names: vec![], position: vec![], velocity: vec![], angular: vec![] },
+                _ => StateLayout { names: vec![], position: vec![], velocity: vec![], angular: vec![], clock: vec![] },
             };
             let mut pairs = Vec::new();
             let mut done = MethodRun::timed(id, layout, |out| {
@@ -200,7 +200,7 @@ impl Scenario for Association {
 /// The state of a method that estimates biases.
 fn biases() -> StateLayout {
     let names = ["range_1_m", "azimuth_1_rad", "range_2_m", "azimuth_2_rad"].map(str::to_owned).to_vec();
-    StateLayout { names, position: vec![], velocity: vec![], angular: vec![1, 3] }
+    StateLayout { names, position: vec![], velocity: vec![], angular: vec![1, 3], clock: vec![] }
 }
 
 #[cfg(test)]
