@@ -83,7 +83,7 @@ impl Mixture {
             let problem = "is true, but Gaussian tails without a uniform density let every track without partner pull; give `outlier_weight`";
             return Err(AssociationError::parameter("refine", problem));
         }
-        if !(self.tolerance >= 0.0) {
+        if self.tolerance.is_nan() || self.tolerance < 0.0 {
             let problem = format!("is {}; it must not be negative", self.tolerance);
             return Err(AssociationError::parameter("tolerance", problem));
         }

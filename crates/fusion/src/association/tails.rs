@@ -54,7 +54,7 @@ impl Tails {
         let known = 1.0 + mean_log_scale + digamma(half) - half.ln();
         let slope = |nu: f64| (0.5 * nu).ln() - digamma(0.5 * nu) + known;
         let [mut low, mut high] = RANGE;
-        if !(slope(low) > 0.0) {
+        if slope(low) <= 0.0 {
             return Self::Estimated(low);
         }
         if slope(high) > 0.0 {

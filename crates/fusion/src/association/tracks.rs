@@ -28,7 +28,7 @@ impl Tracks {
                 "they have {scans} scans of {dimension} coordinates; both must be at least 1"
             ));
         }
-        if coordinates.len() % width != 0 {
+        if !coordinates.len().is_multiple_of(width) {
             let given = coordinates.len();
             return wrong(format!("{given} numbers are no whole number of tracks with {width} each"));
         }
