@@ -199,6 +199,19 @@ pub fn largest(values: &[f64]) -> f64 {
     lanes.iter().chain(rest).fold(f64::NEG_INFINITY, |best, &value| greater(value, best))
 }
 
+/// The least number, infinity of none, without regard for NaN: in eight interleaved parts.
+#[inline(always)]
+pub fn least(values: &[f64]) -> f64 {
+    let mut lanes = [f64::INFINITY; 8];
+    let (chunks, rest) = values.as_chunks::<8>();
+    for chunk in chunks {
+        for (lane, &value) in lanes.iter_mut().zip(chunk) {
+            *lane = if value < *lane { value } else { *lane };
+        }
+    }
+    lanes.iter().chain(rest).fold(f64::INFINITY, |best, &value| if value < best { value } else { best })
+}
+
 /// The sum in eight interleaved parts: a fixed order that vectorises.
 #[inline(always)]
 pub fn sum(values: &[f64]) -> f64 {
@@ -214,7 +227,7 @@ pub fn sum(values: &[f64]) -> f64 {
 
 /// As [`exp`], zero below its least value.
 #[inline(always)]
-fn vanishing_exp(x: f64) -> f64 {
+pub fn vanishing_exp(x: f64) -> f64 {
     let value = exp(x);
     if x > LOWEST_EXPONENT { value } else { 0.0 }
 }
@@ -230,9 +243,11 @@ mod tests {
                 let values: Vec<f64> =
                     (0..length).map(|k| if k == place { -1.0 } else { -2.0 - k as f64 }).collect();
                 assert_eq!(largest(&values), -1.0);
+                let opposite: Vec<f64> = values.iter().map(|value| -value).collect();
+                assert_eq!(least(&opposite), 1.0);
             }
         }
-        assert_eq!(largest(&[]), f64::NEG_INFINITY);
+        assert_eq!((largest(&[]), least(&[])), (f64::NEG_INFINITY, f64::INFINITY));
     }
 
     #[test]

@@ -141,13 +141,20 @@ impl pulp::NullaryFnOnce for Many<'_> {
                 // What is sent to one end comes from the other.
                 (x[2 * k], x[2 * k + 1]) = (ends[1].0 + b, ends[0].0 + a);
             }
+            // Loops, since a closure may be compiled apart from them, for the least machine.
             let lanes = own.iter_mut().zip(&x).zip(&strength);
             if self.maximise {
-                lanes.for_each(|((own, x), coupling)| *own += maxima(*x, *coupling));
+                for ((own, x), coupling) in lanes {
+                    *own += maxima(*x, *coupling);
+                }
             } else {
-                lanes.for_each(|((own, x), gain)| *own += sums(*x, *gain));
+                for ((own, x), gain) in lanes {
+                    *own += sums(*x, *gain);
+                }
             }
-            out.iter_mut().zip(&own).for_each(|(out, own)| out.0 = *own);
+            for (out, own) in out.iter_mut().zip(&own) {
+                out.0 = *own;
+            }
         }
     }
 }

@@ -2,11 +2,12 @@
 
 use super::Table;
 use super::questions::{LocalEvidence, Tabulation};
+use super::strips::Combine;
 use super::semiring::{LogSums, Maxima, Room, Values, marginalise};
 use smallvec::SmallVec;
 use std::any::Any;
 use sumprod_graph::{Factor, Incoming, MessageError, Port, Stream};
-use sumprod_messages::vector::{exp, ln, widest};
+use sumprod_messages::vector::{largest, least, ln, vanishing_exp, widest};
 use sumprod_messages::{CategoricalFamily, CategoricalForm};
 
 /// Entries that need no storage of their own.
@@ -19,72 +20,84 @@ impl Table {
     /// The logarithms of the message to port `to`, up to a constant, from those of all ports (port by port; the receiver's
     /// are arbitrary).
     fn logs_to(&self, to: Port, temperature: f64, incoming: &[f64], out: &mut [f64]) {
-        if temperature == 1.0 && self.values_to(to, incoming, out) {
-            return;
-        }
         let (cardinalities, mut room) = (self.cardinalities(), Room::default());
         if temperature == 0.0 {
             marginalise(Maxima, cardinalities, self.logs(), incoming, to, out, &mut room);
-        } else {
-            let sums = LogSums { temperature };
-            marginalise(sums, cardinalities, self.logs(), incoming, to, out, &mut room);
+            return;
         }
+        // A pair's values were summed before.
+        if temperature == 1.0 && cardinalities.len() != 2 {
+            let mut values = Numbers::from_slice(incoming);
+            exponentials(&mut values);
+            marginalise(Values, cardinalities, self.values(), &values, to, out, &mut room);
+            if logarithms(out) {
+                return;
+            }
+        }
+        let sums = LogSums { temperature };
+        marginalise(sums, cardinalities, self.logs(), incoming, to, out, &mut room);
     }
 
-    /// By sums of values; false where values are too small for them.
-    fn values_to(&self, to: Port, incoming: &[f64], out: &mut [f64]) -> bool {
-        let mut values = Numbers::from_elem(0.0, incoming.len());
-        exponentials(incoming, &mut values);
-        if let [first, second] = *self.cardinalities() {
-            let weights = if to == 0 { &values[first..first + second] } else { &values[..first] };
-            self.strips(to).weighted_sum(weights, out);
-        } else {
-            marginalise(Values, self.cardinalities(), self.values(), &values, to, out, &mut Room::default());
+    /// As [`Table::logs_to`] of a table of two ports, from the other port's logarithms, which it spoils; none where
+    /// values are too small to be summed. `out` is longer by what fills up rows.
+    fn pair_to<'a>(&self, to: Port, how: Combine, incoming: &mut [f64], out: &'a mut Numbers) -> Option<&'a [f64]> {
+        let strips = self.strips(how, to);
+        out.resize(strips.stride(), 0.0);
+        if how == Combine::Sum {
+            exponentials(incoming);
         }
-        let least = out.iter().fold(f64::INFINITY, |least, &value| if value < least { value } else { least });
-        if least < LEAST {
-            return false;
-        }
-        logarithms(out);
-        true
+        strips.combine(how, incoming, out);
+        let own = &mut out[..self.cardinalities()[to]];
+        (how == Combine::Maximum || logarithms(own)).then_some(own)
     }
 }
 
 /// e to the power of each entry, zero where it is below the range of doubles.
-fn exponentials(logs: &[f64], out: &mut [f64]) {
-    struct Exponentials<'a>(&'a [f64], &'a mut [f64]);
+fn exponentials(logs: &mut [f64]) {
+    struct Exponentials<'a>(&'a mut [f64]);
     impl pulp::NullaryFnOnce for Exponentials<'_> {
         type Output = ();
         #[inline(always)]
         fn call(self) {
-            for (log, out) in self.0.iter().zip(self.1) {
-                let value = exp(*log);
-                *out = if *log > sumprod_messages::vector::LOWEST_EXPONENT { value } else { 0.0 };
+            for log in self.0 {
+                *log = vanishing_exp(*log);
             }
         }
     }
     if logs.len() <= 8 {
-        logs.iter().zip(out).for_each(|(log, out)| *out = log.exp());
+        logs.iter_mut().for_each(|log| *log = log.exp());
     } else {
-        widest(Exponentials(logs, out));
+        widest(Exponentials(logs));
     }
 }
 
-/// The logarithm of each entry, all of them positive and normal.
-fn logarithms(values: &mut [f64]) {
+/// The logarithm of each entry over the largest; false, and the entries as they were, where one is too small to have
+/// lost nothing.
+fn logarithms(values: &mut [f64]) -> bool {
     struct Logarithms<'a>(&'a mut [f64]);
     impl pulp::NullaryFnOnce for Logarithms<'_> {
-        type Output = ();
+        type Output = bool;
         #[inline(always)]
-        fn call(self) {
-            self.0.iter_mut().for_each(|value| *value = ln(*value));
+        fn call(self) -> bool {
+            let (least, largest) = (least(self.0), largest(self.0));
+            if least < LEAST {
+                return false;
+            }
+            let shift = ln(largest);
+            for value in self.0 {
+                *value = ln(*value) - shift;
+            }
+            true
         }
     }
-    if values.len() <= 8 {
-        values.iter_mut().for_each(|value| *value = value.ln());
-    } else {
-        widest(Logarithms(values));
+    if values.len() > 8 {
+        return widest(Logarithms(values));
     }
+    let sure = values.iter().all(|&value| value >= LEAST);
+    if sure {
+        values.iter_mut().for_each(|value| *value = value.ln());
+    }
+    sure
 }
 
 /// The temperature of an edge's form.
@@ -110,13 +123,18 @@ pub(super) fn read<M: CategoricalFamily>(
             own.fill(0.0);
             continue;
         }
-        let message = incoming.message(port);
-        if message.states() != states {
-            let (what, found) = ("a message over states", message.states());
-            return Err(MessageError::Dimension { what, found, expected: states });
-        }
-        message.read_logs(own);
+        read_port(states, incoming.message(port), own)?;
     }
+    Ok(())
+}
+
+/// The logarithms of one message, which has this many states.
+fn read_port<M: CategoricalFamily>(states: usize, message: &M, logs: &mut [f64]) -> Result<(), MessageError> {
+    if message.states() != states {
+        let (what, found) = ("a message over states", message.states());
+        return Err(MessageError::Dimension { what, found, expected: states });
+    }
+    message.read_logs(logs);
     Ok(())
 }
 
@@ -146,6 +164,16 @@ impl<M: CategoricalFamily> Factor<M> for Table {
         out: &mut M,
     ) -> Result<(), MessageError> {
         let (temperature, cardinalities) = (temperature::<M>(form)?, self.cardinalities());
+        let how = if temperature == 0.0 { Combine::Maximum } else { Combine::Sum };
+        if cardinalities.len() == 2 && (temperature == 0.0 || temperature == 1.0) {
+            let states = cardinalities[1 - to];
+            let (mut logs, mut sent) = (Numbers::new(), Numbers::new());
+            logs.resize(states, 0.0);
+            read_port(states, incoming.message(1 - to), &mut logs)?;
+            if let Some(sent) = self.pair_to(to, how, &mut logs, &mut sent) {
+                return out.write_logs(incoming.belief(to), sent);
+            }
+        }
         let mut logs = Numbers::from_elem(0.0, cardinalities.iter().sum());
         read(cardinalities, to, incoming, &mut logs)?;
         let mut sent = Numbers::from_elem(0.0, cardinalities[to]);

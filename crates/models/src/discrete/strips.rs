@@ -1,62 +1,95 @@
-//! A matrix stored for sums over its rows, in vectors of four.
+//! A matrix stored for sums over its rows, in vectors of the machine's width.
 
-use sumprod_messages::vector::widest;
-
-/// Four numbers that start at a multiple of their size, so that loading them touches one cache line.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-#[repr(align(32))]
-struct Four([f64; 4]);
+use pulp::{Arch, Simd, WithSimd};
 
 /// Vectors of a row that are summed at once: as many as the registers of a core hold beside their operands.
 const WIDEST: usize = 13;
 
-/// Rows of equal length, each filled up with zeros to a multiple of four.
-#[derive(Clone, Debug, PartialEq)]
+/// Bytes that rows are aligned to, so that loading a vector touches one cache line.
+const ALIGNMENT: usize = 64;
+
+/// Rows of equal length, each filled up to a multiple of the machine's vectors.
+#[derive(Debug)]
 pub(super) struct Strips {
-    columns: usize,
+    /// Numbers from one row to the next.
     stride: usize,
-    rows: Vec<Four>,
+    /// Where the first row begins.
+    start: usize,
+    numbers: Vec<f64>,
+}
+
+/// How rows are combined.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Combine {
+    /// Σ over rows of weight times row.
+    Sum,
+    /// The maximum over rows of weight plus row.
+    Maximum,
 }
 
 impl Strips {
     pub(super) fn new(rows: usize, columns: usize, value: impl Fn(usize, usize) -> f64) -> Self {
-        let stride = columns.div_ceil(4);
-        let mut out = vec![Four::default(); rows * stride];
-        for (row, strip) in out.chunks_exact_mut(stride).enumerate() {
-            for column in 0..columns {
-                strip[column / 4].0[column % 4] = value(row, column);
+        let stride = columns.next_multiple_of(Arch::new().dispatch(Lanes));
+        let mut numbers = vec![0.0; rows * stride + ALIGNMENT / size_of::<f64>()];
+        // Only speed depends on it.
+        let start = numbers.as_ptr().align_offset(ALIGNMENT).min(ALIGNMENT / size_of::<f64>());
+        for (row, strip) in numbers[start..].chunks_exact_mut(stride).take(rows).enumerate() {
+            for (column, entry) in strip[..columns].iter_mut().enumerate() {
+                *entry = value(row, column);
             }
         }
-        Self { columns, stride, rows: out }
+        Self { stride, start, numbers }
     }
 
-    /// Σ over rows of weight times row, into `out`, which has as many entries as there are columns.
-    pub(super) fn weighted_sum(&self, weights: &[f64], out: &mut [f64]) {
-        widest(WeightedSum { strips: self, weights, out });
+    /// Numbers of a row with what fills it up: the length of the results.
+    pub(super) fn stride(&self) -> usize {
+        self.stride
+    }
+
+    /// The rows with these weights combined, into `out`; what fills up the rows is combined too.
+    pub(super) fn combine(&self, how: Combine, weights: &[f64], out: &mut [f64]) {
+        let (stride, rows) = (self.stride, &self.numbers[self.start..]);
+        Arch::new().dispatch(Combined { how, stride, rows, weights, out });
     }
 }
 
-struct WeightedSum<'a> {
-    strips: &'a Strips,
+/// Asks for the numbers of a vector.
+struct Lanes;
+
+impl WithSimd for Lanes {
+    type Output = usize;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _simd: S) -> usize {
+        S::F64_LANES
+    }
+}
+
+struct Combined<'a> {
+    how: Combine,
+    stride: usize,
+    rows: &'a [f64],
     weights: &'a [f64],
     out: &'a mut [f64],
 }
 
-impl pulp::NullaryFnOnce for WeightedSum<'_> {
+impl WithSimd for Combined<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn call(self) {
-        let Strips { columns, stride, rows } = self.strips;
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { how, stride, rows, weights, out } = self;
+        let (rows, out) = (S::as_simd_f64s(rows).0, S::as_mut_simd_f64s(out).0);
+        let stride = stride / S::F64_LANES;
         let mut from = 0;
-        while from < *stride {
+        while from < stride {
             let width = (stride - from).min(WIDEST);
-            let end = (4 * (from + width)).min(*columns);
-            let out = &mut self.out[4 * from..end];
+            let out = &mut out[from..from + width];
             macro_rules! block {
                 ($($vectors:literal)*) => {
-                    match width {
-                        $($vectors => block::<$vectors>(rows, *stride, from, self.weights, out),)*
+                    match (width, how) {
+                        $(($vectors, Combine::Sum) => block::<S, $vectors, false>(simd, rows, stride, from, weights, out),)*
+                        $(($vectors, Combine::Maximum) => block::<S, $vectors, true>(simd, rows, stride, from, weights, out),)*
                         _ => {}
                     }
                 };
@@ -67,20 +100,28 @@ impl pulp::NullaryFnOnce for WeightedSum<'_> {
     }
 }
 
-/// The sum of `N` vectors per row, held in registers from the first row to the last.
+/// `N` vectors per row combined, held in registers from the first row to the last.
 #[inline(always)]
-fn block<const N: usize>(rows: &[Four], stride: usize, from: usize, weights: &[f64], out: &mut [f64]) {
-    let mut sums = [[0.0; 4]; N];
+fn block<S: Simd, const N: usize, const MAXIMUM: bool>(
+    simd: S,
+    rows: &[S::f64s],
+    stride: usize,
+    from: usize,
+    weights: &[f64],
+    out: &mut [S::f64s],
+) {
+    let mut results = [simd.splat_f64s(if MAXIMUM { f64::NEG_INFINITY } else { 0.0 }); N];
     for (row, &weight) in rows.chunks_exact(stride).zip(weights) {
-        let (vectors, _) = row[from..].split_at(N);
-        for (sum, vector) in sums.iter_mut().zip(vectors) {
-            for (sum, value) in sum.iter_mut().zip(&vector.0) {
-                // Fused where the machine can; where it cannot, the library gives the same bits.
-                *sum = value.mul_add(weight, *sum);
-            }
+        let Some(vectors) = row[from..].first_chunk::<N>() else { continue };
+        let weight = simd.splat_f64s(weight);
+        for (result, &vector) in results.iter_mut().zip(vectors) {
+            *result = if MAXIMUM {
+                simd.max_f64s(simd.add_f64s(vector, weight), *result)
+            } else {
+                // Fused on every machine: the same bits.
+                simd.mul_add_f64s(vector, weight, *result)
+            };
         }
     }
-    for (out, sum) in out.chunks_mut(4).zip(&sums) {
-        out.copy_from_slice(&sum[..out.len()]);
-    }
+    out.copy_from_slice(&results);
 }

@@ -1,7 +1,7 @@
 //! A function over the joint states of a few variables, by its values.
 
 use super::TableError;
-use super::strips::Strips;
+use super::strips::{Combine, Strips};
 use std::sync::OnceLock;
 
 /// A non-negative function of a few finite variables: one value per joint state, the last port's state running fastest,
@@ -18,8 +18,8 @@ pub struct Table {
     values: OnceLock<Vec<f64>>,
     /// Logarithms, less that of the largest.
     logs: OnceLock<Vec<f64>>,
-    /// Of two ports: rows of the values by the first port's state, and by the second's.
-    strips: [OnceLock<Strips>; 2],
+    /// Of two ports.
+    pairs: Pairs,
 }
 
 impl Clone for Table {
@@ -29,7 +29,7 @@ impl Clone for Table {
             peak: self.peak,
             values: self.values.clone(),
             logs: self.logs.clone(),
-            strips: [OnceLock::new(), OnceLock::new()],
+            pairs: Pairs::default(),
         }
     }
 }
@@ -94,8 +94,7 @@ impl Table {
         values: OnceLock<Vec<f64>>,
         logs: OnceLock<Vec<f64>>,
     ) -> Self {
-        let strips = [OnceLock::new(), OnceLock::new()];
-        Self { cardinalities: cardinalities.to_vec(), peak, values, logs, strips }
+        Self { cardinalities: cardinalities.to_vec(), peak, values, logs, pairs: Pairs::default() }
     }
 
     /// States by port.
@@ -147,15 +146,41 @@ impl Table {
         }
     }
 
-    /// Of a table of two ports: for each state of the port that is summed over, a row of values by the state of `to`.
-    pub(super) fn strips(&self, to: usize) -> &Strips {
+    /// Of a table of two ports: for each state of the port that is summed over, a row by the state of `to`; of values
+    /// for sums, of logarithms for maxima.
+    pub(super) fn strips(&self, how: Combine, to: usize) -> &Strips {
+        let entries = || match how {
+            Combine::Sum => self.values(),
+            Combine::Maximum => self.logs(),
+        };
+        let (first, second) = match how {
+            Combine::Sum => &self.pairs.values,
+            Combine::Maximum => &self.pairs.logs,
+        };
         let (rows, columns) = (self.cardinalities[1 - to], self.cardinalities[to]);
-        let values = || self.values();
-        self.strips[to].get_or_init(|| match to {
-            0 => Strips::new(rows, columns, |row, column| values()[column * rows + row]),
-            _ => Strips::new(rows, columns, |row, column| values()[row * columns + column]),
-        })
+        let to_first =
+            || Strips::new(rows, columns, |row, column| entries()[column * self.cardinalities[1] + row]);
+        if to == 0 {
+            return first.get_or_init(to_first);
+        }
+        let own = second.get_or_init(|| {
+            let entries = entries();
+            let entry = |row, column| entries[row * columns + column];
+            let symmetric =
+                rows == columns && (0..rows).all(|i| (0..i).all(|j| entry(i, j) == entry(j, i)));
+            (!symmetric).then(|| Strips::new(rows, columns, entry))
+        });
+        // Half the memory, which then stays in the nearest cache.
+        own.as_ref().unwrap_or_else(|| first.get_or_init(to_first))
     }
+}
+
+/// The entries of a table of two ports, laid out for its messages; nothing for messages to the second port where
+/// exchanging the ports changes nothing.
+#[derive(Debug, Default)]
+struct Pairs {
+    values: (OnceLock<Strips>, OnceLock<Option<Strips>>),
+    logs: (OnceLock<Strips>, OnceLock<Option<Strips>>),
 }
 
 fn check_shape(cardinalities: &[usize], found: usize) -> Result<(), TableError> {
