@@ -2,7 +2,9 @@
 
 mod flood;
 mod forms;
+mod gather;
 mod pass;
+mod send;
 mod state;
 
 pub(crate) use state::State;

@@ -57,6 +57,8 @@ pub struct Group<'a, M: Message> {
     /// Where each factor's edges begin, and where the last one's end; counted as the graph counts edges.
     pub(crate) bounds: &'a [u32],
     pub(crate) forms: &'a [M::Form],
+    /// Whether the forms are known to be equal.
+    pub(crate) uniform: bool,
     pub(crate) seed: u64,
     pub(crate) iteration: u64,
 }
@@ -70,6 +72,12 @@ impl<'a, M: Message> Group<'a, M> {
     /// The forms of the edges.
     pub fn forms(&self) -> &'a [M::Form] {
         self.forms
+    }
+
+    /// The form of all edges, where it is one; none also of a group without edges.
+    pub fn common_form(&self) -> Option<&'a M::Form> {
+        let first = self.forms.first()?;
+        (self.uniform || self.forms.iter().all(|form| form == first)).then_some(first)
     }
 }
 

@@ -121,8 +121,8 @@ pub trait Message: Clone + Send + Sync + 'static {
     /// (subtraction loses digits), passes that visit one edge at a time multiply instead of dividing.
     const EXACT_QUOTIENT: bool = false;
 
-    /// Whether [`Message::quotient`] never fails. Where it may, a pass that sends every message at once keeps a
-    /// copy of the messages as they stood, to multiply those that it cannot divide.
+    /// Whether [`Message::quotient`] never fails. Where it may, and [`Message::can_be_divided_out`] tells no better, a
+    /// pass that sends every message at once keeps the messages as they stood, to multiply those that it cannot divide.
     const ALWAYS_DIVIDES: bool = false;
 
     /// The most messages whose inputs a pass over the whole graph prepares before it asks their factors
@@ -189,6 +189,12 @@ pub trait Message: Clone + Send + Sync + 'static {
     /// [`Message::quotient`] into `out`; false where the family cannot divide, and `out` is then arbitrary.
     fn quotient_into(&self, incoming: &Self, out: &mut Self) -> bool {
         self.quotient(incoming).map(|quotient| *out = quotient).is_some()
+    }
+
+    /// Whether [`Message::quotient_into`] of any belief that this message is part of succeeds. A pass that sends every
+    /// message at once replaces them in place where this holds of all.
+    fn can_be_divided_out(&self) -> bool {
+        Self::ALWAYS_DIVIDES
     }
 
     /// How far this message is from `previous`: zero if equal, finite, and of order one for a change of order

@@ -41,10 +41,11 @@ pub use product::{
 };
 
 use crate::vector::exponentials;
+use crate::vector::log_sum;
 use crate::{DynamicGaussian, Moments};
 use record::MixtureRecord;
 use serde::{Deserialize, Serialize};
-use small::{Small, difference, invert, log_sum, multiply, wrap_point};
+use small::{Small, difference, invert, multiply, wrap_point};
 use std::f64::consts::TAU;
 use sumprod_graph::{Coordinate, MessageError, Space};
 

@@ -173,6 +173,18 @@ pub fn sum_of_exponentials(logs: &[f64], shift: f64) -> f64 {
     total
 }
 
+/// Logarithm of the sum of exponentials; minus infinity of none. The largest where that is infinite.
+pub fn log_sum(logs: &[f64]) -> f64 {
+    let largest = largest(logs);
+    if !largest.is_finite() {
+        return largest;
+    }
+    if logs.len() < 32 {
+        return largest + logs.iter().map(|log| exp(log - largest)).sum::<f64>().ln();
+    }
+    largest + sum_of_exponentials(logs, largest).ln()
+}
+
 /// Calls `visit` with e to the power `logs` - `shift`, a stretch at a time and where it begins, until it returns false.
 pub fn each_stretch(logs: &[f64], shift: f64, mut visit: impl FnMut(usize, &[f64]) -> bool) {
     const STRETCH: usize = 512;
@@ -227,7 +239,7 @@ pub fn sum(values: &[f64]) -> f64 {
 
 /// As [`exp`], zero below its least value.
 #[inline(always)]
-pub fn vanishing_exp(x: f64) -> f64 {
+pub(crate) fn vanishing_exp(x: f64) -> f64 {
     let value = exp(x);
     if x > LOWEST_EXPONENT { value } else { 0.0 }
 }

@@ -14,6 +14,7 @@ use crate::rules::mixture::motion::{Retrodiction, predict};
 use crate::small::{Matrix, Vector, multiply, symmetrise, transpose, zero_vector, zeros};
 use crate::{Motion, Transition};
 use sumprod_graph::{Factor, Incoming, Message, MessageError, Port, Stream};
+use sumprod_messages::vector::log_sum;
 use sumprod_messages::{
     AnyForm, AnyMessage, Categorical, Cholesky, Mixture, MixtureFamily, MixtureForm, MixtureMessage,
     ParticleFamily, Potential,
@@ -182,11 +183,7 @@ fn log_overlap(density: &Mixture, potential: &Potential) -> Result<f64, MessageE
             terms.push(log + 0.5 * (gain - inner.log_determinant()));
         }
     }
-    let largest = terms.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-    if largest == f64::NEG_INFINITY {
-        return Ok(largest);
-    }
-    Ok(largest + terms.iter().map(|term| (term - largest).exp()).sum::<f64>().ln())
+    Ok(log_sum(&terms))
 }
 
 impl<T: Motion> Factor<AnyMessage> for Switch<T> {

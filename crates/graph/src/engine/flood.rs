@@ -1,23 +1,22 @@
 //! Every message at once: the pass that large graphs spend their time in.
 //!
 //! Each factor reads the beliefs as they stood and its own previous messages alone, so its new messages can
-//! replace the old in place. Factors are cut into runs of consecutive edges that threads take whole; every
-//! message is computed alone, so the cut does not show in the answer.
+//! replace the old in place; where a message may not be divided out of a belief, the others are multiplied as they
+//! stood, and new messages go to storage of their own. Factors are cut into runs of consecutive edges that threads take
+//! whole; every message is computed alone, so the cut does not show in the answer.
 //!
-//! On one thread, and where messages can be divided out of beliefs, a variable's belief is updated as soon as its last
-//! factor has sent: nobody reads the old one any more, and the messages are still in the cache. Otherwise all factors
-//! send before the first belief is updated.
+//! On one thread a variable's belief is updated as soon as its last factor has sent: nobody reads the old one any more,
+//! and the messages are still in the cache. On many, all factors send before the first belief is updated.
 //!
 //! What the pass reports as change is the beliefs': one comparison per variable instead of one per message, and
 //! at the end of a pass every message has met its belief.
 
 use super::forms::Forms;
-use super::pass::{damp, extrinsic, product_error, replace_guess, rule_error};
+use super::gather::{gather, gather_run};
+use super::pass::Standing;
+use super::send::send;
 use super::{Engine, Options, PARALLEL_EDGES, Scratch, State};
-use crate::{
-    Factor, FactorGraph, FactorId, GraphError, Group, Incoming, Message, MessageError, MessageStreams,
-    Messages, Outgoing, Port, Purpose, Stream, Topology,
-};
+use crate::{Factor, FactorGraph, GraphError, Message, Outgoing, Topology};
 use std::ops::Range;
 
 /// Factors and variables per run: long enough that splitting costs nothing, short enough to share out.
@@ -32,7 +31,7 @@ pub(super) struct Plan<M> {
     variables: Vec<VariableRun<M>>,
     /// For one thread: the variables by the stride of factors after which nothing more is sent to them.
     done: Done,
-    /// The messages as they stood, kept where inputs may have to be multiplied from them.
+    /// The messages before the last pass, whose storage the next one writes to where it may not do so in place.
     previous: Vec<M>,
     parallel: bool,
 }
@@ -62,6 +61,20 @@ impl<M: Message> Plan<M> {
             previous: Vec::new(),
             parallel: parallel && !small,
         }
+    }
+
+    /// Whether all factors sent; the first in order that failed.
+    fn sent(&mut self) -> Result<(), GraphError> {
+        self.runs.iter_mut().try_for_each(|run| std::mem::replace(&mut run.outcome, Ok(())))
+    }
+
+    /// The largest change of a belief; the first in order that failed.
+    fn gathered(&mut self) -> Result<f64, GraphError> {
+        let mut largest: f64 = 0.0;
+        for run in &mut self.variables {
+            largest = largest.max(std::mem::replace(&mut run.outcome, Ok(0.0))?);
+        }
+        Ok(largest)
     }
 }
 
@@ -119,95 +132,126 @@ fn run_length(count: usize) -> usize {
 }
 
 /// What every run reads.
-struct Shared<'a, M: Message, F> {
-    graph: &'a FactorGraph<M, F>,
-    topology: &'a Topology,
-    options: &'a Options,
-    state: &'a State<M>,
-    /// The messages as they stood, where a start still stands in for a belief.
-    previous: &'a [M],
-    forms: &'a Forms<M>,
+pub(super) struct Shared<'a, M: Message, F> {
+    pub(super) graph: &'a FactorGraph<M, F>,
+    pub(super) topology: &'a Topology,
+    pub(super) options: &'a Options,
+    pub(super) state: &'a State<M>,
+    /// Whether the state keeps the messages as they stood; else they are replaced in place.
+    pub(super) kept: bool,
+    pub(super) forms: &'a Forms<M>,
+    /// Whether a start stands in for any belief.
+    pub(super) any_guess: bool,
+    /// Whether every edge was sent a message before.
+    pub(super) all_sent: bool,
 }
+
+impl<'a, M: Message, F> Shared<'a, M, F> {
+    /// The messages as they stood, where they are kept.
+    pub(super) fn before(&self) -> Option<&'a [M]> {
+        self.kept.then_some(&self.state.messages)
+    }
+}
+
+impl<M: Message, F> Clone for Shared<'_, M, F> {
+    fn clone(&self) -> Self {
+        *self
+    }
+}
+
+impl<M: Message, F> Copy for Shared<'_, M, F> {}
 
 pub(super) fn everything<M: Message, F: Factor<M>>(
     engine: &mut Engine<'_, M, F>,
     topology: &Topology,
 ) -> Result<f64, GraphError> {
-    let any_guess = engine.state.guessed.contains(&true);
-    if M::ALWAYS_DIVIDES && !engine.flood.parallel && !any_guess {
-        return interleaved(engine, topology);
-    }
-    let Engine { graph, options, state, forms, flood, .. } = engine;
+    let Engine { graph, options, state, forms, flood, scratch, exchange: [previous, _], .. } = engine;
+    let any_guess = state.guessed.contains(&true);
+    // Dividing needs beliefs that are products; extrinsic products read the messages as they stood.
+    let divided = M::ALWAYS_DIVIDES || state.messages.iter().all(M::can_be_divided_out);
+    let multiplied = options.outgoing == Outgoing::Extrinsic && !divided;
+    // Groups are damped on their way from one storage to the other.
+    let kept = any_guess || multiplied || (options.damping > 0.0 && M::GROUP > 1);
     let mut messages = std::mem::take(&mut state.messages);
-    if any_guess || (options.outgoing == Outgoing::Extrinsic && !M::ALWAYS_DIVIDES) {
-        // Dividing needs beliefs that are products; extrinsic products read the messages as they stood.
-        state.messages = std::mem::take(&mut flood.previous);
-        state.messages.clone_from(&messages);
+    if kept {
+        state.messages = messages;
+        messages = std::mem::take(&mut flood.previous);
+        if messages.len() != state.messages.len() {
+            messages.clone_from(&state.messages);
+        }
     }
-    let shared = Shared { graph, topology, options, state, previous: &[], forms };
-    visit_factors(&shared, &state.beliefs, &mut flood.runs, &mut messages, 0, any_guess, flood.parallel);
-    flood.previous = std::mem::replace(&mut state.messages, messages);
-    for run in &mut flood.runs {
-        std::mem::replace(&mut run.outcome, Ok(()))?;
-    }
-    state.sent.fill(true);
     let (mut beliefs, mut guessed) = (std::mem::take(&mut state.beliefs), std::mem::take(&mut state.guessed));
-    let previous = &flood.previous;
-    let shared = Shared { graph, topology, options, state, previous, forms };
-    visit_variables(&shared, &mut flood.variables, &mut beliefs, &mut guessed, 0, flood.parallel);
+    let all_sent = state.sent.iter().all(|&sent| sent);
+    let shared = Shared { graph, topology, options, state, kept, forms, any_guess, all_sent };
+    let outcome = if flood.parallel || any_guess {
+        in_turn(&shared, flood, &mut messages, &mut beliefs, &mut guessed)
+    } else {
+        interleaved(&shared, &flood.done, scratch, previous, &mut messages, &mut beliefs, &guessed)
+    };
     (state.beliefs, state.guessed) = (beliefs, guessed);
-    let mut largest: f64 = 0.0;
-    for run in &mut flood.variables {
-        largest = largest.max(std::mem::replace(&mut run.outcome, Ok(0.0))?);
+    flood.previous = std::mem::replace(&mut state.messages, messages);
+    if outcome.is_ok() {
+        state.sent.fill(true);
     }
-    Ok(largest)
+    outcome
 }
 
-/// On one thread, with beliefs that are products and can be divided: each is updated after its last factor.
-fn interleaved<M: Message, F: Factor<M>>(
-    engine: &mut Engine<'_, M, F>,
-    topology: &Topology,
+/// All factors, then all variables, on however many threads.
+fn in_turn<M: Message, F: Factor<M>>(
+    shared: &Shared<'_, M, F>,
+    plan: &mut Plan<M>,
+    messages: &mut [M],
+    beliefs: &mut [M],
+    guessed: &mut [bool],
 ) -> Result<f64, GraphError> {
-    let Engine { graph, options, state, forms, flood, scratch, exchange: [previous, _], .. } = engine;
-    let mut messages = std::mem::take(&mut state.messages);
-    let mut beliefs = std::mem::take(&mut state.beliefs);
-    let shared = Shared { graph, topology, options, state, previous: &[], forms };
+    let standing = Standing { beliefs, guessed };
+    visit_factors(shared, standing, &mut plan.runs, messages, 0, plan.parallel);
+    plan.sent()?;
+    visit_variables(shared, &mut plan.variables, messages, beliefs, guessed, 0, plan.parallel);
+    plan.gathered()
+}
+
+/// On one thread, with beliefs that are products: each is updated after its last factor.
+fn interleaved<M: Message, F: Factor<M>>(
+    shared: &Shared<'_, M, F>,
+    done: &Done,
+    scratch: &mut Scratch<M>,
+    previous: &mut M,
+    messages: &mut [M],
+    beliefs: &mut [M],
+    guessed: &[bool],
+) -> Result<f64, GraphError> {
     let mut largest: f64 = 0.0;
-    let outcome = flood.done.strides(topology.factor_count()).try_for_each(|(factors, variables)| {
-        send(&shared, &beliefs, factors, scratch, &mut messages, 0, false)?;
+    for (factors, variables) in done.strides(shared.topology.factor_count()) {
+        send(shared, Standing { beliefs, guessed }, factors, scratch, messages, 0)?;
         for &variable in variables {
             let (variable, guess) = (variable as usize, &mut false);
-            gather(&shared, variable, &messages, previous, &mut beliefs[variable], guess, &mut largest)?;
+            gather(shared, variable, messages, previous, &mut beliefs[variable], guess, &mut largest)?;
         }
-        Ok(())
-    });
-    (state.messages, state.beliefs) = (messages, beliefs);
-    state.sent.fill(true);
-    outcome.map(|()| largest)
+    }
+    Ok(largest)
 }
 
 /// Halves the runs until one is left; the depth is the logarithm of their number.
 fn visit_factors<M: Message, F: Factor<M>>(
     shared: &Shared<'_, M, F>,
-    beliefs: &[M],
+    standing: Standing<'_, M>,
     runs: &mut [FactorRun<M>],
     messages: &mut [M],
     offset: usize,
-    any_guess: bool,
     parallel: bool,
 ) {
     match runs {
         [] => {}
         [run] => {
-            run.outcome =
-                send(shared, beliefs, run.factors.clone(), &mut run.scratch, messages, offset, any_guess)
+            run.outcome = send(shared, standing, run.factors.clone(), &mut run.scratch, messages, offset)
         }
         _ => {
             let (left, right) = runs.split_at_mut(runs.len() / 2);
             let middle = shared.topology.first_edge(right[0].factors.start);
             let (near, far) = messages.split_at_mut(middle - offset);
-            let mut first = || visit_factors(shared, beliefs, left, near, offset, any_guess, parallel);
-            let mut second = || visit_factors(shared, beliefs, right, far, middle, any_guess, parallel);
+            let mut first = || visit_factors(shared, standing, left, near, offset, parallel);
+            let mut second = || visit_factors(shared, standing, right, far, middle, parallel);
             if parallel {
                 rayon::join(first, second);
             } else {
@@ -216,180 +260,13 @@ fn visit_factors<M: Message, F: Factor<M>>(
             }
         }
     }
-}
-
-/// All messages of consecutive factors, in place.
-fn send<M: Message, F: Factor<M>>(
-    shared: &Shared<'_, M, F>,
-    beliefs: &[M],
-    factors: Range<usize>,
-    scratch: &mut Scratch<M>,
-    messages: &mut [M],
-    offset: usize,
-    any_guess: bool,
-) -> Result<(), GraphError> {
-    if M::GROUP > 1 {
-        return send_in_groups(shared, beliefs, factors, scratch, messages, offset, any_guess);
-    }
-    let Shared { graph, topology, options, state, .. } = *shared;
-    let Scratch { inputs, output, .. } = scratch;
-    let broadcast = options.outgoing == Outgoing::Broadcast;
-    let mut first = topology.first_edge(factors.start);
-    let mut rest = (&mut messages[first - offset..], &shared.forms.edges[first..]);
-    let rules = graph.factors[factors.clone()].iter();
-    let variables = topology.raw_variables_of_factors(factors.clone());
-    for ((factor, rule), variables) in factors.zip(rules).zip(variables) {
-        let arity = variables.len();
-        let (own, forms);
-        ((own, rest.0), (forms, rest.1)) = (rest.0.split_at_mut(arity), rest.1.split_at(arity));
-        let edges = first..first + arity;
-        first = edges.end;
-        if arity == 1 && rule.is_constant() && state.sent[edges.start] {
-            continue;
-        }
-        for (port, (input, &variable)) in inputs.iter_mut().zip(variables).enumerate() {
-            let belief = &beliefs[variable as usize];
-            if broadcast {
-                input.clone_from(belief);
-            } else if any_guess || !belief.quotient_into(&own[port], input) {
-                without(shared, variable as usize, edges.start + port, input)?;
-            }
-        }
-        let incoming = Incoming::trusted(inputs, beliefs, variables);
-        let streams = MessageStreams::new(options.seed, state.iteration, edges.start as u64);
-        let outcome = if options.damping > 0.0 {
-            damped(rule, &incoming, forms, streams, &state.sent[edges.clone()], options.damping, own, output)
-        } else {
-            rule.all_messages_into(&incoming, forms, streams, own)
-        };
-        if let Err((port, source)) = outcome {
-            return Err(failed(shared, factor, edges.start + port, source));
-        }
-    }
-    Ok(())
-}
-
-/// As [`send`], of families that want the inputs of many factors at once.
-fn send_in_groups<M: Message, F: Factor<M>>(
-    shared: &Shared<'_, M, F>,
-    beliefs: &[M],
-    factors: Range<usize>,
-    scratch: &mut Scratch<M>,
-    messages: &mut [M],
-    offset: usize,
-    any_guess: bool,
-) -> Result<(), GraphError> {
-    let Shared { graph, topology, options, state, forms, .. } = *shared;
-    let Options { seed, damping, outgoing, .. } = *options;
-    let iteration = state.iteration;
-    let mut from = factors.start;
-    while from < factors.end {
-        let bounds = topology.raw_bounds(from..factors.end);
-        let first = bounds[0] as usize;
-        let fitting = bounds.partition_point(|&end| end as usize - first <= M::GROUP) - 1;
-        let members = from..from + fitting.max(1);
-        from = members.end;
-        let bounds = &bounds[..=members.len()];
-        let edges = first..bounds[members.len()] as usize;
-        let variables = topology.raw_variables(edges.clone());
-        let own = &mut messages[edges.start - offset..edges.end - offset];
-        let Scratch { inputs, output, group } = scratch;
-        if group.len() < edges.len() {
-            group.resize(edges.len(), output.clone());
-        }
-        if inputs.len() < edges.len() {
-            inputs.resize(edges.len(), output.clone());
-        }
-        let inputs = &mut inputs[..edges.len()];
-        let broadcast = outgoing == Outgoing::Broadcast;
-        let mut divided = !any_guess;
-        for ((input, message), &variable) in inputs.iter_mut().zip(&*own).zip(variables) {
-            if broadcast {
-                input.clone_from(&beliefs[variable as usize]);
-            } else {
-                divided &= beliefs[variable as usize].quotient_into(message, input);
-            }
-        }
-        if !broadcast && !divided {
-            for (place, (input, &variable)) in inputs.iter_mut().zip(variables).enumerate() {
-                if any_guess || !beliefs[variable as usize].quotient_into(&own[place], input) {
-                    without(shared, variable as usize, edges.start + place, input)?;
-                }
-            }
-        }
-        let forms = &forms.edges[edges.clone()];
-        let seen = Group { inputs, beliefs, variables, bounds, forms, seed, iteration };
-        let rules = &graph.factors[members.clone()];
-        let new = if damping > 0.0 { &mut group[..edges.len()] } else { &mut *own };
-        if let Err((place, source)) = F::many_messages_into(rules, &seen, new) {
-            let edge = edges.start + place;
-            return Err(failed(shared, topology.factor_of(crate::EdgeId(edge as u32)).index(), edge, source));
-        }
-        if damping > 0.0 {
-            for ((new, old), &sent) in group.iter_mut().zip(own).zip(&state.sent[edges.clone()]) {
-                if sent {
-                    damp(new, old, damping)
-                        .map_err(|source| failed(shared, members.start, edges.start, source))?;
-                }
-                old.clone_from(new);
-            }
-        }
-    }
-    Ok(())
-}
-
-#[cold]
-fn failed<M: Message, F: Factor<M>>(
-    shared: &Shared<'_, M, F>,
-    factor: usize,
-    edge: usize,
-    source: MessageError,
-) -> GraphError {
-    rule_error(shared.graph, FactorId(factor as u32), edge, shared.state.iteration, source)
-}
-
-/// As [`Factor::all_messages_into`], each message moved towards the one it replaces if that was ever sent.
-#[allow(clippy::too_many_arguments, reason = "the inputs of a rule, and what damping adds")]
-#[inline(never)]
-fn damped<M: Message, F: Factor<M>>(
-    rule: &F,
-    incoming: &Incoming<'_, M>,
-    forms: &[M::Form],
-    streams: MessageStreams,
-    sent: &[bool],
-    damping: f64,
-    messages: &mut [M],
-    output: &mut M,
-) -> Result<(), (Port, MessageError)> {
-    for (port, slot) in messages.iter_mut().enumerate() {
-        let mut outcome = rule.message_into(port, incoming, &forms[port], &mut streams.of(port), output);
-        if sent[port] {
-            outcome = outcome.and_then(|()| damp(output, slot, damping));
-        }
-        outcome.map_err(|error| (port, error))?;
-        std::mem::swap(slot, output);
-    }
-    Ok(())
-}
-
-/// The slow way to what a variable sends: the product of the other messages.
-#[cold]
-fn without<M: Message, F: Factor<M>>(
-    shared: &Shared<'_, M, F>,
-    variable: usize,
-    edge: usize,
-    out: &mut M,
-) -> Result<(), GraphError> {
-    let Shared { graph, topology, options, state, forms, .. } = *shared;
-    let mut stream = Stream::new(options.seed, state.iteration, Purpose::Extrinsic, edge as u64);
-    extrinsic(topology, state, &forms.beliefs[variable], variable, edge, &mut stream, out)
-        .map_err(|source| product_error(graph, variable, state.iteration, source))
 }
 
 /// Halves the runs of variables as [`visit_factors`] does those of factors.
 fn visit_variables<M: Message, F: Factor<M>>(
     shared: &Shared<'_, M, F>,
     runs: &mut [VariableRun<M>],
+    messages: &[M],
     beliefs: &mut [M],
     guessed: &mut [bool],
     offset: usize,
@@ -397,14 +274,17 @@ fn visit_variables<M: Message, F: Factor<M>>(
 ) {
     match runs {
         [] => {}
-        [run] => run.outcome = gather_run(shared, run.variables.clone(), &mut run.previous, beliefs, guessed),
+        [run] => {
+            let variables = run.variables.clone();
+            run.outcome = gather_run(shared, variables, messages, &mut run.previous, beliefs, guessed);
+        }
         _ => {
             let (left, right) = runs.split_at_mut(runs.len() / 2);
             let middle = right[0].variables.start;
             let (near, far) = beliefs.split_at_mut(middle - offset);
             let (near_guessed, far_guessed) = guessed.split_at_mut(middle - offset);
-            let mut first = || visit_variables(shared, left, near, near_guessed, offset, parallel);
-            let mut second = || visit_variables(shared, right, far, far_guessed, middle, parallel);
+            let mut first = || visit_variables(shared, left, messages, near, near_guessed, offset, parallel);
+            let mut second = || visit_variables(shared, right, messages, far, far_guessed, middle, parallel);
             if parallel {
                 rayon::join(first, second);
             } else {
@@ -412,88 +292,5 @@ fn visit_variables<M: Message, F: Factor<M>>(
                 second();
             }
         }
-    }
-}
-
-/// The beliefs of consecutive variables; returns the largest change of one.
-fn gather_run<M: Message, F: Factor<M>>(
-    shared: &Shared<'_, M, F>,
-    variables: Range<usize>,
-    previous: &mut M,
-    beliefs: &mut [M],
-    guessed: &mut [bool],
-) -> Result<f64, GraphError> {
-    let mut largest: f64 = 0.0;
-    for ((variable, belief), guess) in variables.zip(beliefs).zip(guessed) {
-        gather(shared, variable, &shared.state.messages, previous, belief, guess, &mut largest)?;
-    }
-    Ok(largest)
-}
-
-/// The belief of one variable; raises `largest` to its change.
-#[inline(always)]
-fn gather<M: Message, F: Factor<M>>(
-    shared: &Shared<'_, M, F>,
-    variable: usize,
-    messages: &[M],
-    previous: &mut M,
-    belief: &mut M,
-    guess: &mut bool,
-    largest: &mut f64,
-) -> Result<(), GraphError> {
-    let Shared { graph, topology, options, state, forms, .. } = *shared;
-    let edges = topology.raw_edges_of_variable(variable);
-    let incoming = Messages::new(messages, edges).with_prior(state.priors[variable].as_ref());
-    if incoming.is_empty() {
-        return Ok(());
-    }
-    let mut stream = Stream::new(options.seed, state.iteration, Purpose::Belief, variable as u64);
-    let form = &forms.beliefs[variable];
-    let outcome = if *guess {
-        // Whatever replaces a guess is news; while nothing does, the messages tell whether they still move.
-        replace_guess(incoming, form, &mut stream, belief, guess).map(|()| {
-            let change = if *guess { moved(edges, messages, shared.previous) } else { 1.0 };
-            *largest = larger(*largest, change);
-        })
-    } else {
-        M::update(incoming, form, &mut stream, belief, previous, largest)
-    };
-    match outcome {
-        Ok(()) if !largest.is_nan() => Ok(()),
-        Ok(()) => Err(not_finite(shared, variable, messages)),
-        Err(source) => Err(product_error(graph, variable, state.iteration, source)),
-    }
-}
-
-/// The larger of two, and NaN if the second is.
-fn larger(a: f64, b: f64) -> f64 {
-    if b > a || b.is_nan() { b } else { a }
-}
-
-/// The largest change of the messages along `edges`, and NaN if any is.
-fn moved<M: Message>(edges: &[u32], messages: &[M], previous: &[M]) -> f64 {
-    let change = |&edge: &u32| messages[edge as usize].change(&previous[edge as usize]);
-    edges.iter().map(change).fold(0.0, larger)
-}
-
-/// A belief is not finite: blames the first message into it that is not, else the product.
-#[cold]
-fn not_finite<M: Message, F: Factor<M>>(
-    shared: &Shared<'_, M, F>,
-    variable: usize,
-    messages: &[M],
-) -> GraphError {
-    let Shared { graph, topology, state, .. } = *shared;
-    let edges = topology.raw_edges_of_variable(variable);
-    let bad = edges.iter().map(|&edge| edge as usize).find(|&edge| {
-        let message = &messages[edge];
-        message.change(message).is_nan()
-    });
-    let source = MessageError::NotFinite { what: "the change of the message", value: f64::NAN };
-    match bad {
-        Some(edge) => {
-            rule_error(graph, topology.factor_of(crate::EdgeId(edge as u32)), edge, state.iteration, source)
-        }
-        None => product_error(graph, variable, state.iteration, source),
     }
 }

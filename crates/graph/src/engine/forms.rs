@@ -7,6 +7,8 @@ use crate::{EdgeId, Factor, FactorGraph, GraphError, Message, Port, Topology, Va
 pub(super) struct Forms<M: Message> {
     pub(super) edges: Vec<M::Form>,
     pub(super) beliefs: Vec<M::Form>,
+    /// Whether all edges are known to have one form.
+    pub(super) uniform: bool,
 }
 
 impl<M: Message> Forms<M> {
@@ -22,7 +24,9 @@ impl<M: Message> Forms<M> {
             graph.belief_form(variable, topology.raw_edges_of_variable(variable.index()))
         };
         let beliefs = graph.variable_ids().map(belief).collect();
-        Ok(Self { edges: graph.edge_form.clone(), beliefs })
+        let edges = graph.edge_form.clone();
+        let uniform = edges.iter().all(|form| *form == edges[0]);
+        Ok(Self { edges, beliefs, uniform })
     }
 }
 
@@ -59,6 +63,7 @@ impl<M: Message, F: Factor<M>> Engine<'_, M, F> {
         if self.forms.edges[edge.index()] != form {
             self.forms.edges[edge.index()] = form;
             self.state.sent[edge.index()] = false;
+            self.forms.uniform = false;
         }
         Ok(())
     }

@@ -143,8 +143,16 @@ fn compute<M: Message, F: Factor<M>>(
             continue;
         }
         let mut stream = Stream::new(options.seed, iteration, Purpose::Extrinsic, into as u64);
-        extrinsic(topology, state, &forms.beliefs[variable], variable, into, &mut stream, input)
-            .map_err(|source| product_error(graph, variable, iteration, source))?;
+        extrinsic(
+            topology,
+            (state, Standing { beliefs: &state.beliefs, guessed: &state.guessed }),
+            &forms.beliefs[variable],
+            variable,
+            into,
+            &mut stream,
+            input,
+        )
+        .map_err(|source| product_error(graph, variable, iteration, source))?;
     }
     let incoming = Incoming::trusted(&scratch.inputs, &state.beliefs, variables);
     let mut stream = Stream::new(options.seed, iteration, Purpose::Message, edge.index() as u64);
@@ -178,10 +186,24 @@ fn settle<M: Message>(message: &mut M, previous: &M, damping: f64) -> Result<f64
     Ok(change)
 }
 
+/// The beliefs as they stand, and for which of them a start stands in.
+pub(super) struct Standing<'a, M> {
+    pub(super) beliefs: &'a [M],
+    pub(super) guessed: &'a [bool],
+}
+
+impl<M> Clone for Standing<'_, M> {
+    fn clone(&self) -> Self {
+        *self
+    }
+}
+
+impl<M> Copy for Standing<'_, M> {}
+
 /// What `variable` sends along `edge`: its belief without that edge's message.
 pub(super) fn extrinsic<M: Message>(
     topology: &Topology,
-    state: &State<M>,
+    (state, standing): (&State<M>, Standing<'_, M>),
     form: &M::Form,
     variable: usize,
     edge: usize,
@@ -190,8 +212,9 @@ pub(super) fn extrinsic<M: Message>(
 ) -> Result<(), MessageError> {
     let edges = topology.raw_edges_of_variable(variable);
     let others = Messages::new(&state.messages, edges).with_prior(state.priors[variable].as_ref());
-    let divide = !state.guessed[variable] && (M::EXACT_QUOTIENT || others.len() > FEW_MESSAGES);
-    if divide && state.beliefs[variable].quotient_into(&state.messages[edge], out) {
+    let Standing { beliefs, guessed } = standing;
+    let divide = !guessed[variable] && (M::EXACT_QUOTIENT || others.len() > FEW_MESSAGES);
+    if divide && beliefs[variable].quotient_into(&state.messages[edge], out) {
         return Ok(());
     }
     let others = others.without(edge as u32);
@@ -200,7 +223,7 @@ pub(super) fn extrinsic<M: Message>(
         return Ok(());
     }
     // A product may read the belief it replaces (the particles that carry it).
-    out.clone_from(&state.beliefs[variable]);
+    out.clone_from(&beliefs[variable]);
     M::product_into(others, form, stream, out)
 }
 

@@ -111,4 +111,20 @@ impl CategoricalFamily for AnyMessage {
         self.loss = None;
         Ok(())
     }
+
+    fn values(&self) -> Option<&[f64]> {
+        self.categorical().and_then(CategoricalFamily::values)
+    }
+
+    fn write_values(&mut self, _like: &Self, values: &[f64]) -> Result<bool, MessageError> {
+        self.loss = None;
+        if let AnyValue::Categorical(states) = &mut self.value {
+            return states.write_values(&Categorical::default(), values);
+        }
+        let mut states = Categorical::default();
+        let held = states.write_values(&Categorical::default(), values)?;
+        self.value = AnyValue::Categorical(states);
+        self.coordinates = Arc::from([]);
+        Ok(held)
+    }
 }

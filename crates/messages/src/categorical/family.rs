@@ -1,5 +1,6 @@
 //! How rules read and write messages over states, whatever their family.
 
+use super::passes::{LEAST, exponentials};
 use super::{Categorical, CategoricalForm, LogOdds};
 use smallvec::SmallVec;
 use sumprod_graph::{Message, MessageError};
@@ -21,6 +22,36 @@ pub trait CategoricalFamily: Message {
     ///
     /// Where one is not a number or plus infinity, or all states are ruled out.
     fn write_logs(&mut self, like: &Self, logs: &[f64]) -> Result<(), MessageError>;
+
+    /// The values of all states over the largest, where they are at hand: sums of values need no exponentials then.
+    fn values(&self) -> Option<&[f64]> {
+        None
+    }
+
+    /// Writes the values of all states over the largest into `values`, which has as many entries; zero below the range
+    /// of doubles.
+    fn read_values(&self, values: &mut [f64]) {
+        if let Some(own) = self.values() {
+            values.copy_from_slice(own);
+            return;
+        }
+        self.read_logs(values);
+        exponentials(values);
+    }
+
+    /// As [`CategoricalFamily::write_logs`], of values; false, and this is arbitrary, where a value is so small, alone or
+    /// beside the largest, that sums may have lost digits of it to underflow: 1e-290.
+    ///
+    /// # Errors
+    ///
+    /// As [`CategoricalFamily::write_logs`].
+    fn write_values(&mut self, like: &Self, values: &[f64]) -> Result<bool, MessageError> {
+        if !values.iter().all(|value| (LEAST..f64::INFINITY).contains(value)) {
+            return Ok(false);
+        }
+        let logs: SmallVec<[f64; 4]> = values.iter().map(|value| value.ln()).collect();
+        self.write_logs(like, &logs).map(|()| true)
+    }
 }
 
 impl CategoricalFamily for Categorical {
@@ -33,16 +64,20 @@ impl CategoricalFamily for Categorical {
     }
 
     fn read_logs(&self, logs: &mut [f64]) {
-        logs.copy_from_slice(&self.logs);
+        self.with_logs(|own| logs.copy_from_slice(own));
     }
 
     fn write_logs(&mut self, _like: &Self, logs: &[f64]) -> Result<(), MessageError> {
-        if self.logs.len() == logs.len() {
-            self.logs.copy_from_slice(logs);
-        } else {
-            self.logs = SmallVec::from_slice(logs);
-        }
-        self.normalise("the message")
+        self.hold(false, logs);
+        self.normalise_logs("the message")
+    }
+
+    fn values(&self) -> Option<&[f64]> {
+        Self::values(self)
+    }
+
+    fn write_values(&mut self, _like: &Self, values: &[f64]) -> Result<bool, MessageError> {
+        Ok(self.hold_values(values))
     }
 }
 

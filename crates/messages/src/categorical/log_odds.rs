@@ -44,8 +44,13 @@ impl Message for LogOdds {
         _form: &CategoricalForm,
         _stream: &mut Stream,
     ) -> Result<Self, MessageError> {
-        let mut sum = 0.0;
-        incoming.for_each(|message| sum += message.0);
+        // Four sums in turn: one would wait for itself at every message.
+        let mut sums = [0.0; 4];
+        incoming.for_each(|message| {
+            let [a, b, c, d] = sums;
+            sums = [b, c, d, a + message.0];
+        });
+        let sum = (sums[0] + sums[1]) + (sums[2] + sums[3]);
         if sum.is_nan() {
             let mut contrary = [false; 2];
             incoming.for_each(|message| {
@@ -68,6 +73,10 @@ impl Message for LogOdds {
     fn quotient_into(&self, incoming: &Self, out: &mut Self) -> bool {
         out.0 = self.0 - incoming.0;
         incoming.0.is_finite()
+    }
+
+    fn can_be_divided_out(&self) -> bool {
+        self.0.is_finite()
     }
 
     fn change(&self, previous: &Self) -> f64 {

@@ -1,9 +1,10 @@
 //! Kernel densities from particles, and rules for how wide their kernels are.
 
 use super::Mixture;
-use super::small::{Small, difference, log_sum, whitener};
+use super::small::{Small, difference, whitener};
 use crate::kernel::floor_diagonal;
 use crate::vector::exponentials;
+use crate::vector::log_sum;
 use crate::{Moments, Particles, Role};
 use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;

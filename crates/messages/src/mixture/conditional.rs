@@ -4,9 +4,10 @@
 //!
 //! p(b | a) ∝ Σᵢ wᵢ N(a; αᵢ, Aᵢ) N(b; βᵢ + Gᵢ (a - αᵢ), Bᵢ - Gᵢ cov(a, b)).
 
-use super::small::{Small, difference, log_sum, root, whitener, wrap_point};
+use super::small::{Small, difference, root, whitener, wrap_point};
 use super::{Mixture, size};
 use crate::vector::exp;
+use crate::vector::log_sum;
 use rand_distr::{Distribution, StandardNormal};
 use std::f64::consts::TAU;
 use sumprod_graph::{Coordinate, FastStream, MessageError};

@@ -10,9 +10,10 @@ mod bounds;
 mod interpolation;
 mod sum;
 
-use super::small::{Small, log_sum, whitener};
+use super::small::{Small, whitener};
 use super::tree::{Tree, scale};
 use super::{Mixture, size};
+use crate::vector::log_sum;
 use crate::vector::{greater, widest};
 use bounds::Bounds;
 use interpolation::Nodes;

@@ -4,10 +4,11 @@
 //! where each may be but nothing of its velocity: Λₖ leaves those directions open, and no covariance could say so.
 //! Each component is written about the point cₖ it was linearised at.
 
-use super::small::{Small, difference, invert, log_sum, multiply, wrap_point};
+use super::small::{Small, difference, invert, multiply, wrap_point};
 use super::times::Local;
 use super::{Evaluator, Mixture, finite, size};
 use crate::DynamicGaussian;
+use crate::vector::log_sum;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::{PI, TAU};
 use sumprod_graph::{Coordinate, MessageError, Space};

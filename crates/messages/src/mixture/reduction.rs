@@ -26,7 +26,7 @@ impl Mixture {
             return (self.clone(), 0.0);
         }
         let mut pruned = self.select(&kept);
-        let total = super::small::log_sum(&pruned.log_weights);
+        let total = crate::vector::log_sum(&pruned.log_weights);
         pruned.log_weights.iter_mut().for_each(|log| *log -= total);
         (pruned, -total.exp_m1())
     }
@@ -194,7 +194,7 @@ impl Pairs {
         let mixture = &self.mixture;
         let d = mixture.dimension();
         let (log_i, log_j) = (mixture.log_weights[i], mixture.log_weights[j]);
-        let log_weight = super::small::log_sum(&[log_i, log_j]);
+        let log_weight = crate::vector::log_sum(&[log_i, log_j]);
         let (a, b) = ((log_i - log_weight).exp(), (log_j - log_weight).exp());
         let mut offset = Small::from_elem(0.0, d);
         difference(&mixture.coordinates, mixture.mean_of(j), mixture.mean_of(i), &mut offset);

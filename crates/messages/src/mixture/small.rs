@@ -185,18 +185,6 @@ pub(crate) fn wrap_point(coordinates: &[Coordinate], point: &mut [f64]) {
     }
 }
 
-/// Log of the sum of exponentials; minus infinity for an empty slice.
-pub(crate) fn log_sum(logs: &[f64]) -> f64 {
-    let largest = crate::vector::largest(logs);
-    if !largest.is_finite() {
-        return largest;
-    }
-    if logs.len() < 32 {
-        return largest + logs.iter().map(|log| crate::vector::exp(log - largest)).sum::<f64>().ln();
-    }
-    largest + crate::vector::sum_of_exponentials(logs, largest).ln()
-}
-
 /// The product of two Gaussians, N(x; a, A) N(x; b, B) = N(a; b, A + B) N(x; m, C).
 pub(crate) struct Pair {
     /// A (A + B)⁻¹.

@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests fail the test")]
 
 mod any;
+mod categorical;
 mod checkpoint;
 mod gaussian;
 mod golden;

@@ -204,7 +204,7 @@ impl<M: CategoricalFamily> Factor<M> for Logical {
     ) -> Result<(), MessageError> {
         let temperature = temperature::<M>(form)?;
         let mut logs = Numbers::from_elem(0.0, 2 * self.cardinalities.len());
-        read(&self.cardinalities, to, incoming, &mut logs)?;
+        read(&self.cardinalities, to, incoming, &mut logs, M::read_logs)?;
         let sent = if temperature == 0.0 {
             self.one(Maxima, to, &logs)
         } else {
@@ -230,7 +230,7 @@ impl<M: CategoricalFamily> Factor<M> for Logical {
         let temperature = temperature::<M>(&forms[0]).map_err(|error| (0, error))?;
         let mut logs = Numbers::from_elem(0.0, 2 * self.cardinalities.len());
         let nowhere = self.cardinalities.len();
-        read(&self.cardinalities, nowhere, incoming, &mut logs).map_err(|error| (0, error))?;
+        read(&self.cardinalities, nowhere, incoming, &mut logs, M::read_logs).map_err(|error| (0, error))?;
         if temperature == 0.0 {
             self.all(Maxima, &mut logs);
         } else {

@@ -179,9 +179,9 @@ impl Factor<LogOdds> for PairOdds {
         group: &Group<'_, LogOdds>,
         out: &mut [LogOdds],
     ) -> Result<(), (usize, MessageError)> {
-        let temperature = group.forms().first().map_or(1.0, |form| form.temperature);
-        let same = group.forms().iter().all(|form| form.temperature == temperature);
-        if same && (temperature == 0.0 || temperature == 1.0) {
+        if let Some(&CategoricalForm { temperature }) = group.common_form()
+            && (temperature == 0.0 || temperature == 1.0)
+        {
             widest(Many { factors, inputs: group.inputs(), out, maximise: temperature == 0.0 });
             return Ok(());
         }

@@ -2,102 +2,82 @@
 
 use super::Table;
 use super::questions::{LocalEvidence, Tabulation};
-use super::strips::Combine;
 use super::semiring::{LogSums, Maxima, Room, Values, marginalise};
+use super::strips::Combine;
 use smallvec::SmallVec;
 use std::any::Any;
 use sumprod_graph::{Factor, Incoming, MessageError, Port, Stream};
-use sumprod_messages::vector::{largest, least, ln, vanishing_exp, widest};
 use sumprod_messages::{CategoricalFamily, CategoricalForm};
+
+/// The most entries of a row that are summed in storage of fixed size.
+const FIXED: usize = 64;
 
 /// Entries that need no storage of their own.
 pub(super) type Numbers = SmallVec<[f64; 128]>;
 
-/// The least sum of values that is sure to have lost nothing to underflow; below it logarithms are summed instead.
-const LEAST: f64 = 1e-290;
-
 impl Table {
-    /// The logarithms of the message to port `to`, up to a constant, from those of all ports (port by port; the receiver's
-    /// are arbitrary).
-    fn logs_to(&self, to: Port, temperature: f64, incoming: &[f64], out: &mut [f64]) {
-        let (cardinalities, mut room) = (self.cardinalities(), Room::default());
-        if temperature == 0.0 {
-            marginalise(Maxima, cardinalities, self.logs(), incoming, to, out, &mut room);
-            return;
+    /// The message to port `to` by sums of values, into `out`; false where values are too small for them.
+    fn sum_values<M: CategoricalFamily>(
+        &self,
+        to: Port,
+        incoming: &Incoming<'_, M>,
+        out: &mut M,
+    ) -> Result<bool, MessageError> {
+        let cardinalities = self.cardinalities();
+        let [_, _] = *cardinalities else {
+            let mut values = Numbers::from_elem(0.0, cardinalities.iter().sum());
+            read(cardinalities, to, incoming, &mut values, M::read_values)?;
+            let mut sent = Numbers::from_elem(0.0, cardinalities[to]);
+            marginalise(Values, cardinalities, self.values(), &values, to, &mut sent, &mut Room::default());
+            return out.write_values(incoming.belief(to), &sent);
+        };
+        let (message, strips) = (incoming.message(1 - to), self.strips(Combine::Sum, to));
+        check_states(message, cardinalities[1 - to])?;
+        // Of fixed size where that is enough: it is not moved.
+        let (mut fixed, mut larger) = ([0.0; FIXED], Vec::new());
+        let sent = if strips.stride() <= FIXED {
+            &mut fixed[..strips.stride()]
+        } else {
+            larger.resize(strips.stride(), 0.0);
+            &mut larger[..]
+        };
+        if let Some(values) = message.values() {
+            strips.combine(Combine::Sum, values, sent);
+        } else {
+            let mut values = Numbers::from_elem(0.0, cardinalities[1 - to]);
+            message.read_values(&mut values);
+            strips.combine(Combine::Sum, &values, sent);
         }
-        // A pair's values were summed before.
-        if temperature == 1.0 && cardinalities.len() != 2 {
-            let mut values = Numbers::from_slice(incoming);
-            exponentials(&mut values);
-            marginalise(Values, cardinalities, self.values(), &values, to, out, &mut room);
-            if logarithms(out) {
-                return;
-            }
-        }
-        let sums = LogSums { temperature };
-        marginalise(sums, cardinalities, self.logs(), incoming, to, out, &mut room);
+        out.write_values(incoming.belief(to), &sent[..cardinalities[to]])
     }
 
-    /// As [`Table::logs_to`] of a table of two ports, from the other port's logarithms, which it spoils; none where
-    /// values are too small to be summed. `out` is longer by what fills up rows.
-    fn pair_to<'a>(&self, to: Port, how: Combine, incoming: &mut [f64], out: &'a mut Numbers) -> Option<&'a [f64]> {
-        let strips = self.strips(how, to);
-        out.resize(strips.stride(), 0.0);
-        if how == Combine::Sum {
-            exponentials(incoming);
-        }
-        strips.combine(how, incoming, out);
-        let own = &mut out[..self.cardinalities()[to]];
-        (how == Combine::Maximum || logarithms(own)).then_some(own)
-    }
-}
-
-/// e to the power of each entry, zero where it is below the range of doubles.
-fn exponentials(logs: &mut [f64]) {
-    struct Exponentials<'a>(&'a mut [f64]);
-    impl pulp::NullaryFnOnce for Exponentials<'_> {
-        type Output = ();
-        #[inline(always)]
-        fn call(self) {
-            for log in self.0 {
-                *log = vanishing_exp(*log);
+    /// The message to port `to` by logarithms at any temperature, into `out`.
+    fn sum_logs<M: CategoricalFamily>(
+        &self,
+        to: Port,
+        temperature: f64,
+        incoming: &Incoming<'_, M>,
+        out: &mut M,
+    ) -> Result<(), MessageError> {
+        let (cardinalities, mut sent) = (self.cardinalities(), Numbers::new());
+        let mut logs = Numbers::from_elem(0.0, cardinalities.iter().sum());
+        read(cardinalities, to, incoming, &mut logs, M::read_logs)?;
+        if let ([first, _], 0.0) = (cardinalities, temperature) {
+            let strips = self.strips(Combine::Maximum, to);
+            sent.resize(strips.stride(), 0.0);
+            let weights = if to == 0 { &logs[*first..] } else { &logs[..*first] };
+            strips.combine(Combine::Maximum, weights, &mut sent);
+        } else {
+            sent.resize(cardinalities[to], 0.0);
+            let (logs, room) = (&logs, &mut Room::default());
+            if temperature == 0.0 {
+                marginalise(Maxima, cardinalities, self.logs(), logs, to, &mut sent, room);
+            } else {
+                marginalise(LogSums { temperature }, cardinalities, self.logs(), logs, to, &mut sent, room);
             }
         }
+        out.write_logs(incoming.belief(to), &sent[..cardinalities[to]])
     }
-    if logs.len() <= 8 {
-        logs.iter_mut().for_each(|log| *log = log.exp());
-    } else {
-        widest(Exponentials(logs));
-    }
-}
-
-/// The logarithm of each entry over the largest; false, and the entries as they were, where one is too small to have
-/// lost nothing.
-fn logarithms(values: &mut [f64]) -> bool {
-    struct Logarithms<'a>(&'a mut [f64]);
-    impl pulp::NullaryFnOnce for Logarithms<'_> {
-        type Output = bool;
-        #[inline(always)]
-        fn call(self) -> bool {
-            let (least, largest) = (least(self.0), largest(self.0));
-            if least < LEAST {
-                return false;
-            }
-            let shift = ln(largest);
-            for value in self.0 {
-                *value = ln(*value) - shift;
-            }
-            true
-        }
-    }
-    if values.len() > 8 {
-        return widest(Logarithms(values));
-    }
-    let sure = values.iter().all(|&value| value >= LEAST);
-    if sure {
-        values.iter_mut().for_each(|value| *value = value.ln());
-    }
-    sure
 }
 
 /// The temperature of an edge's form.
@@ -108,14 +88,15 @@ pub(super) fn temperature<M: CategoricalFamily>(form: &M::Form) -> Result<f64, M
         .ok_or_else(|| MessageError::Unsupported(needed.into()))
 }
 
-/// The logarithms of the messages at all ports, port by port; zeros at the receiver's.
+/// What `of` reads of the messages at all ports, port by port; zeros at the receiver's.
 pub(super) fn read<M: CategoricalFamily>(
     cardinalities: &[usize],
     to: Port,
     incoming: &Incoming<'_, M>,
-    logs: &mut [f64],
+    numbers: &mut [f64],
+    of: impl Fn(&M, &mut [f64]),
 ) -> Result<(), MessageError> {
-    let mut rest = logs;
+    let mut rest = numbers;
     for (port, &states) in cardinalities.iter().enumerate() {
         let own;
         (own, rest) = rest.split_at_mut(states);
@@ -123,19 +104,17 @@ pub(super) fn read<M: CategoricalFamily>(
             own.fill(0.0);
             continue;
         }
-        read_port(states, incoming.message(port), own)?;
+        let message = incoming.message(port);
+        check_states(message, states)?;
+        of(message, own);
     }
     Ok(())
 }
 
-/// The logarithms of one message, which has this many states.
-fn read_port<M: CategoricalFamily>(states: usize, message: &M, logs: &mut [f64]) -> Result<(), MessageError> {
-    if message.states() != states {
-        let (what, found) = ("a message over states", message.states());
-        return Err(MessageError::Dimension { what, found, expected: states });
-    }
-    message.read_logs(logs);
-    Ok(())
+/// Refuses a message of another number of states.
+fn check_states<M: CategoricalFamily>(message: &M, expected: usize) -> Result<(), MessageError> {
+    let (what, found) = ("a message over states", message.states());
+    if found == expected { Ok(()) } else { Err(MessageError::Dimension { what, found, expected }) }
 }
 
 impl<M: CategoricalFamily> Factor<M> for Table {
@@ -163,22 +142,11 @@ impl<M: CategoricalFamily> Factor<M> for Table {
         _stream: &mut Stream,
         out: &mut M,
     ) -> Result<(), MessageError> {
-        let (temperature, cardinalities) = (temperature::<M>(form)?, self.cardinalities());
-        let how = if temperature == 0.0 { Combine::Maximum } else { Combine::Sum };
-        if cardinalities.len() == 2 && (temperature == 0.0 || temperature == 1.0) {
-            let states = cardinalities[1 - to];
-            let (mut logs, mut sent) = (Numbers::new(), Numbers::new());
-            logs.resize(states, 0.0);
-            read_port(states, incoming.message(1 - to), &mut logs)?;
-            if let Some(sent) = self.pair_to(to, how, &mut logs, &mut sent) {
-                return out.write_logs(incoming.belief(to), sent);
-            }
+        let temperature = temperature::<M>(form)?;
+        if temperature == 1.0 && self.sum_values(to, incoming, out)? {
+            return Ok(());
         }
-        let mut logs = Numbers::from_elem(0.0, cardinalities.iter().sum());
-        read(cardinalities, to, incoming, &mut logs)?;
-        let mut sent = Numbers::from_elem(0.0, cardinalities[to]);
-        self.logs_to(to, temperature, &logs, &mut sent);
-        out.write_logs(incoming.belief(to), &sent)
+        self.sum_logs(to, temperature, incoming, out)
     }
 
     fn is_constant(&self) -> bool {

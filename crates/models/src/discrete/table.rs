@@ -166,8 +166,7 @@ impl Table {
         let own = second.get_or_init(|| {
             let entries = entries();
             let entry = |row, column| entries[row * columns + column];
-            let symmetric =
-                rows == columns && (0..rows).all(|i| (0..i).all(|j| entry(i, j) == entry(j, i)));
+            let symmetric = rows == columns && (0..rows).all(|i| (0..i).all(|j| entry(i, j) == entry(j, i)));
             (!symmetric).then(|| Strips::new(rows, columns, entry))
         });
         // Half the memory, which then stays in the nearest cache.

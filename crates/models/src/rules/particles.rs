@@ -11,6 +11,7 @@ use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
 use smallvec::SmallVec;
 use sumprod_graph::{Coordinate, MessageError, Port, Space, Stream, wrap_angle};
+use sumprod_messages::vector::log_sum;
 use sumprod_messages::{
     Cholesky, DynamicGaussian, MixtureForm, MixtureMessage, Particles, ParticlesForm, Proposal, Role,
 };
@@ -457,9 +458,4 @@ struct Kernels {
 
 fn nothing_to_predict() -> MessageError {
     MessageError::Unsupported("the state to predict from has no particles; give it a prior".into())
-}
-
-fn log_sum(logs: &[f64]) -> f64 {
-    let largest = logs.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-    largest + logs.iter().map(|log| (log - largest).exp()).sum::<f64>().ln()
 }

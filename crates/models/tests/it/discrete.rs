@@ -1,6 +1,7 @@
 //! Rules over finitely many states against enumeration, and each kind of factor against its table.
 
 use proptest::prelude::*;
+use rand::RngExt;
 use std::sync::Arc;
 use sumprod_graph::schedule::{Flooding, ForwardBackward, Residual};
 use sumprod_graph::{
@@ -74,6 +75,12 @@ fn cases() -> impl Strategy<Value = (Table, Vec<Categorical>)> {
     })
 }
 
+/// Numbers in [0, 1) from a seed.
+fn draws(seed: u64) -> impl FnMut() -> f64 {
+    let mut random = Stream::new(seed, 0, Purpose::World, 0).fast();
+    move || random.random()
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(200))]
     #[test]
@@ -103,6 +110,34 @@ proptest! {
         prop_assert!(!to_first.is_empty());
         let expected = table.peak() + log_sum(&terms, 1.0);
         prop_assert!((question.log_sum - expected).abs() < 1e-11 * (1.0 + expected.abs()));
+    }
+
+    #[test]
+    fn large_pairs_send_what_enumeration_finds(
+        (rows, columns) in prop_oneof![Just((50, 50)), Just((9, 33)), Just((70, 3)), Just((1, 20))],
+        symmetric in any::<bool>(),
+        depth in prop_oneof![Just(5.0), Just(500.0), Just(3000.0)],
+        zeros in prop_oneof![Just(0), Just(3), Just(40)],
+        temperature in prop_oneof![Just(0.0), Just(1.0), Just(0.5)],
+        seed in 0_u64..1000,
+    ) {
+        let mut draw = draws(seed);
+        let mut logs: Vec<f64> = (0..rows * columns).map(|_| -depth * draw()).collect();
+        if symmetric && rows == columns {
+            (0..rows).for_each(|i| (0..i).for_each(|j| logs[i * columns + j] = logs[j * columns + i]));
+        }
+        for _ in 0..zeros {
+            let place = (draw() * logs.len() as f64) as usize;
+            logs[place] = f64::NEG_INFINITY;
+        }
+        let Ok(table) = Table::from_logs(&[rows, columns], logs) else { return Ok(()) };
+        let mut states = |n: usize| -> Vec<f64> { (0..n).map(|_| -depth * draw()).collect() };
+        let messages = [rows, columns].map(|n| Categorical::new(&states(n)).unwrap());
+        for to in 0..2 {
+            let expected = enumerated(&table, to, &messages, temperature);
+            let found = message(&table, to, &messages, &CategoricalForm { temperature });
+            assert_close(found.logs(), &expected);
+        }
     }
 
     #[test]

@@ -1,7 +1,8 @@
 //! What is known of a node of the tree without looking into it: bounds, and an expansion where it is tight.
 
-use super::super::small::{Small, log_sum};
+use super::super::small::Small;
 use super::Evaluator;
+use crate::vector::log_sum;
 use std::sync::OnceLock;
 
 /// Components from which on a node may be expanded.

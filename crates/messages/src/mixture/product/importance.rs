@@ -1,10 +1,10 @@
 //! Products by importance sampling: draw somewhere, weigh by the product of the inputs' densities.
 
-use super::super::small::log_sum;
 use super::super::{Evaluator, Mixture};
 use super::pairs::multiply;
 use super::quality::{ProductQuality, Weighted, check_agreement, log_products, sort};
 use super::{Product, ProductMethod, absorb, check};
+use crate::vector::log_sum;
 use crate::{Particles, Role};
 use rand::RngExt;
 use std::borrow::Cow;

@@ -2,9 +2,9 @@
 
 use super::super::condense::log_determinants;
 use super::super::density::LANES;
-use super::super::small::log_sum;
 use super::super::tree::{Tree, scale};
 use super::super::{Evaluator, Mixture};
+use crate::vector::log_sum;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
 use sumprod_graph::{MessageError, ProductOutcome};
