@@ -29,6 +29,8 @@ pub struct Beliefs {
     pub iterations: usize,
     /// Whether the last messages stood still.
     pub converged: bool,
+    /// The largest change of a belief by round of messages since the last linearisation.
+    pub changes: Vec<f64>,
 }
 
 /// The largest step, in standard deviations, that ends the linearisations.
@@ -71,7 +73,7 @@ impl Problem<'_> {
                 covariances.push(moments.covariance);
             }
             if !size.is_finite() {
-                let remedy = "messages diverge; damp them";
+                let remedy = "messages diverge; damp them, or solve jointly";
                 return Err(ExactError::NotFinite {
                     what: "a step of belief propagation".into(),
                     value: size,
@@ -83,7 +85,8 @@ impl Problem<'_> {
             values = self.moved(&values, &step)?;
             if size < STILL || round >= options.rounds {
                 let answer = Answer { values, covariances: Some(covariances) };
-                return Ok(Beliefs { answer, log_evidence, iterations, converged: run.converged() });
+                let converged = run.converged();
+                return Ok(Beliefs { answer, log_evidence, iterations, converged, changes: run.changes });
             }
         }
     }

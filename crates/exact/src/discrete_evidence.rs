@@ -1,9 +1,9 @@
 //! What messages over finitely many states say of the whole graph: evidence, and beliefs of factors.
 
 use crate::ExactError;
-use crate::logs::log_sum;
 use sumprod_graph::{EdgeId, Engine, Factor, FactorId, VariableId};
 use sumprod_messages::CategoricalFamily;
+use sumprod_messages::vector::log_sum;
 use sumprod_models::discrete::{LocalEvidence, Tabulation};
 
 /// The log evidence that belief propagation holds at its messages,

@@ -41,7 +41,6 @@ mod junction;
 mod kernel;
 mod layout;
 mod linear_graph;
-mod logs;
 mod normal;
 pub mod observability;
 mod prior;

@@ -105,7 +105,11 @@ pub fn write(
 ) -> Result<Vec<String>, Failure> {
     let mut files = Vec::new();
     if wanted.estimates {
-        files.push(("estimates.csv".to_owned(), estimates::csv(runs)));
+        if runs.iter().flat_map(|run| &run.methods).any(|method| !method.is_empty()) {
+            files.push(("estimates.csv".to_owned(), estimates::csv(runs)));
+        } else {
+            folder.remove("estimates.csv");
+        }
     }
     for file in runs.first().iter().flat_map(|run| &run.files) {
         files.push((file.name.clone(), file.contents.clone()));

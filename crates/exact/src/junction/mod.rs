@@ -12,12 +12,12 @@ mod combine;
 mod order;
 
 use crate::ExactError;
-use crate::logs::{log_max, log_sum};
 use combine::{Part, combine};
 use order::eliminate;
 use std::sync::Arc;
 use sumprod_graph::{Factor, FactorGraph, FactorId, VariableId};
 use sumprod_messages::CategoricalFamily;
+use sumprod_messages::vector::{largest, log_sum};
 use sumprod_models::discrete::{Table, Tabulation};
 
 /// How large a tree may be.
@@ -240,7 +240,7 @@ impl JunctionTree {
     ///
     /// Where no joint state is possible.
     pub fn most_probable(&self) -> Result<MostProbable, ExactError> {
-        let (inward, log_score) = self.inward(log_max)?;
+        let (inward, log_score) = self.inward(largest)?;
         let mut states = vec![0; self.states.len()];
         let mut belief = Vec::new();
         for (at, clique) in self.cliques.iter().enumerate().rev() {

@@ -175,12 +175,26 @@ impl MethodSettings {
         }
         out.diagnose("converged", f64::from(u8::from(beliefs.converged)));
         if !beliefs.converged {
-            out.notes.push(format!(
-                "messages did not settle within {} rounds of the last linearisation; raise `iterations`, or damp them",
-                self.iterations
-            ));
+            out.notes.push(unsettled(&beliefs.changes, "`joint`"));
         }
         Ok(beliefs.answer)
+    }
+}
+
+/// What to do about messages that did not settle: more of them where their changes shrink, something else where not.
+pub(super) fn unsettled(changes: &[f64], exact: &str) -> String {
+    let (halfway, last) = (changes.get(changes.len() / 2), changes.last());
+    let (halfway, last) = (halfway.copied().unwrap_or(0.0), last.copied().unwrap_or(0.0));
+    let found = format!(
+        "messages did not settle in {} iterations: their largest change went from {halfway:.1e} halfway to {last:.1e}",
+        changes.len()
+    );
+    if last < 0.5 * halfway {
+        format!("{found}; raise `iterations`")
+    } else {
+        format!(
+            "{found}, and more of them would not help: set `damping`, or take {exact}, since messages in loops need not settle"
+        )
     }
 }
 

@@ -8,7 +8,8 @@
 //! | `junction-tree` | of finitely many states: all marginals and the evidence, exact; `map` is the most probable state |
 //! | `bp`, `max-product` | of finitely many states: loopy messages that sum or maximise, by `schedule` |
 //!
-//! Methods that are not for the file's kind of variables are left out.
+//! Methods that are not for the file's kind of variables are left out. One that has no answer says why in a note; a run in
+//! which none has one fails as the last of them did.
 //!
 //! Files are those of [`sumprod_exact::read`]. The first method's answer is written to `marginals.json`, those of the
 //! others to `marginals-ID.json`: by variable the mean in stored coordinates and the covariance in local ones, of a pose in
@@ -176,10 +177,22 @@ impl Graphs {
         let takes = |id: &&String| self.method.get(id).is_some_and(|method| takes(method.inference));
         let chosen: Vec<&String> = ids.iter().filter(takes).collect();
         if chosen.is_empty() {
-            let problem = format!("holds a graph of {kind}, which {} cannot run", ids.join(", "));
+            let all = self.method.ids();
+            let fit = all.iter().filter(takes).map(String::as_str).collect::<Vec<_>>().join(", ");
+            let remedy =
+                if fit.is_empty() { "none of the scenario's can".into() } else { format!("take {fit}") };
+            let problem = format!("is {}, but the file holds a graph of {kind}; {remedy}", ids.join(", "));
             return Err(PositioningError::setting("method", problem));
         }
         Ok(chosen)
+    }
+
+    fn for_coordinates<'a>(&self, ids: &'a [String]) -> Result<Vec<&'a String>, PositioningError> {
+        self.applicable(ids, "continuous variables", Inference::takes_coordinates)
+    }
+
+    fn for_states<'a>(&self, ids: &'a [String]) -> Result<Vec<&'a String>, PositioningError> {
+        self.applicable(ids, "variables of finitely many states", Inference::takes_states)
     }
 
     /// Every method that is for continuous variables.
@@ -188,7 +201,7 @@ impl Graphs {
         prepared: &Coordinates,
         request: RunRequest<'_>,
     ) -> Result<RunResult, PositioningError> {
-        let ids = self.applicable(request.methods, "continuous variables", Inference::takes_coordinates)?;
+        let ids = self.for_coordinates(request.methods)?;
         let mut methods = Vec::with_capacity(ids.len());
         let mut answers: Vec<(String, Answer)> = Vec::new();
         let mut failed = None;
@@ -299,7 +312,7 @@ impl Scenario for Graphs {
         methods: &[String],
     ) -> Result<Vec<GraphSummary>, PositioningError> {
         let prepared = match &prepared.0 {
-            Kind::States(prepared) => return Ok(prepared.summaries(methods)),
+            Kind::States(prepared) => return Ok(prepared.summaries(&self.for_states(methods)?)),
             Kind::Coordinates(prepared) => prepared,
         };
         let graph = &prepared.graph;
@@ -309,11 +322,11 @@ impl Scenario for Graphs {
         let free = free.iter().map(ToString::to_string);
         let sentences: Vec<String> = free.chain(mirrored.iter().map(ToString::to_string)).collect();
         let forms = FormUse { kind: "all".into(), form: "gaussian".into(), edges: graph.edge_count() };
-        let summary = |id: &String| GraphSummary {
+        let summary = |id: &&String| GraphSummary {
             unconstrained: sentences.clone(),
             ..GraphSummary::new(id, "the whole file", graph, vec![forms.clone()])
         };
-        Ok(methods.iter().map(summary).collect())
+        Ok(self.for_coordinates(methods)?.iter().map(summary).collect())
     }
 }
 

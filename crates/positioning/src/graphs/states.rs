@@ -7,7 +7,7 @@ use sumprod_graph::schedule::{Flooding, Residual, Schedule};
 use sumprod_graph::{Engine, FactorGraph, Options};
 use sumprod_messages::{Categorical, CategoricalForm};
 
-use super::method::{Inference, MethodSettings, Order, report};
+use super::method::{Inference, MethodSettings, Order, report, unsettled};
 use super::{Graphs, marginals};
 use crate::error::{PositioningError, unsolvable};
 use crate::results::{MethodRun, OutputFile, RunResult};
@@ -86,10 +86,7 @@ impl States {
         let run = engine.run(schedule.as_mut())?;
         out.diagnose("converged", f64::from(u8::from(run.converged())));
         if !run.converged() {
-            out.notes.push(format!(
-                "messages did not settle within {} iterations; raise `iterations`, or damp them",
-                method.iterations
-            ));
+            out.notes.push(unsettled(&run.changes, "`junction-tree`"));
         }
         let beliefs = || self.graph.variable_ids().map(|variable| engine.belief(variable));
         let mut found = Found {
@@ -148,11 +145,11 @@ impl States {
 
 impl States {
     /// What there is of the graph, by method.
-    pub(super) fn summaries(&self, methods: &[String]) -> Vec<GraphSummary> {
+    pub(super) fn summaries(&self, methods: &[&String]) -> Vec<GraphSummary> {
         let graph = &self.graph;
         let edges = graph.edge_count();
-        let summary = |id: &String| GraphSummary {
-            method: id.clone(),
+        let summary = |id: &&String| GraphSummary {
+            method: (*id).clone(),
             extent: "the whole file".into(),
             variables: graph.variable_count(),
             factors: graph.factor_count(),
@@ -174,8 +171,7 @@ impl Graphs {
         prepared: &States,
         request: RunRequest<'_>,
     ) -> Result<RunResult, PositioningError> {
-        let ids =
-            self.applicable(request.methods, "variables of finitely many states", Inference::takes_states)?;
+        let ids = self.for_states(request.methods)?;
         let mut methods = Vec::with_capacity(ids.len());
         let mut answers = Vec::with_capacity(ids.len());
         let mut failed = None;
