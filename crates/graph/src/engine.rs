@@ -107,8 +107,6 @@ pub struct Engine<'g, M: Message, F = Box<dyn Factor<M>>> {
 struct Scratch<M> {
     inputs: Vec<M>,
     output: M,
-    /// New messages of a group of factors, until they are damped with the old.
-    group: Vec<M>,
 }
 
 impl<'g, M: Message, F: Factor<M>> Engine<'g, M, F> {
@@ -135,7 +133,7 @@ impl<'g, M: Message, F: Factor<M>> Engine<'g, M, F> {
         let forms = Forms::new(graph, &topology)?;
         let vacuous = state.beliefs.first().cloned().unwrap_or_else(|| M::vacuous(&crate::Space::real(1)));
         let arity = graph.factor_ids().map(|factor| graph.arity(factor)).max().unwrap_or(0);
-        let scratch = Scratch { inputs: vec![vacuous.clone(); arity], output: vacuous, group: Vec::new() };
+        let scratch = Scratch { inputs: vec![vacuous.clone(); arity], output: vacuous };
         let flood = flood::Plan::new(&topology, &scratch, options.parallel);
         let mut state = state;
         for variable in 0..topology.variable_count() {

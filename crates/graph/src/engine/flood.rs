@@ -142,6 +142,8 @@ pub(super) struct Shared<'a, M: Message, F> {
     pub(super) forms: &'a Forms<M>,
     /// Whether a start stands in for any belief.
     pub(super) any_guess: bool,
+    /// Whether every message as it stood can be divided out of its belief.
+    pub(super) divided: bool,
     /// Whether every edge was sent a message before.
     pub(super) all_sent: bool,
 }
@@ -168,7 +170,7 @@ pub(super) fn everything<M: Message, F: Factor<M>>(
     let Engine { graph, options, state, forms, flood, scratch, exchange: [previous, _], .. } = engine;
     let any_guess = state.guessed.contains(&true);
     // Dividing needs beliefs that are products; extrinsic products read the messages as they stood.
-    let divided = M::ALWAYS_DIVIDES || state.messages.iter().all(M::can_be_divided_out);
+    let divided = !any_guess && (M::ALWAYS_DIVIDES || every(&state.messages, M::can_be_divided_out));
     let multiplied = options.outgoing == Outgoing::Extrinsic && !divided;
     // Groups are damped on their way from one storage to the other.
     let kept = any_guess || multiplied || (options.damping > 0.0 && M::GROUP > 1);
@@ -181,8 +183,8 @@ pub(super) fn everything<M: Message, F: Factor<M>>(
         }
     }
     let (mut beliefs, mut guessed) = (std::mem::take(&mut state.beliefs), std::mem::take(&mut state.guessed));
-    let all_sent = state.sent.iter().all(|&sent| sent);
-    let shared = Shared { graph, topology, options, state, kept, forms, any_guess, all_sent };
+    let all_sent = every(&state.sent, |&sent| sent);
+    let shared = Shared { graph, topology, options, state, kept, forms, any_guess, divided, all_sent };
     let outcome = if flood.parallel || any_guess {
         in_turn(&shared, flood, &mut messages, &mut beliefs, &mut guessed)
     } else {
@@ -194,6 +196,11 @@ pub(super) fn everything<M: Message, F: Factor<M>>(
         state.sent.fill(true);
     }
     outcome
+}
+
+/// Whether all are so: without a branch for each, and no further than the stretch of the first that is not.
+fn every<T>(all: &[T], so: impl Fn(&T) -> bool) -> bool {
+    all.chunks(1024).all(|stretch| stretch.iter().fold(true, |every, one| every & so(one)))
 }
 
 /// All factors, then all variables, on however many threads.

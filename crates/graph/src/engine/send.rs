@@ -23,7 +23,7 @@ pub(super) fn send<M: Message, F: Factor<M>>(
     }
     let Shared { graph, topology, options, state, any_guess, .. } = *shared;
     let beliefs = standing.beliefs;
-    let Scratch { inputs, output, .. } = scratch;
+    let Scratch { inputs, output } = scratch;
     let broadcast = options.outgoing == Outgoing::Broadcast;
     let mut first = topology.first_edge(factors.start);
     let mut rest = (&mut messages[first - offset..], &shared.forms.edges[first..]);
@@ -93,28 +93,24 @@ fn send_in_groups<M: Message, F: Factor<M>>(
         let variables = topology.raw_variables(edges.clone());
         let own = &mut messages[edges.start - offset..edges.end - offset];
         let before = shared.before().map(|messages| &messages[edges.clone()]);
-        let Scratch { inputs, output, group } = scratch;
-        let apart = damping > 0.0 && before.is_none();
-        if apart && group.len() < edges.len() {
-            group.resize(edges.len(), output.clone());
-        }
+        let Scratch { inputs, output } = scratch;
         if inputs.len() < edges.len() {
             inputs.resize(edges.len(), output.clone());
         }
         let inputs = &mut inputs[..edges.len()];
         let replaced = before.unwrap_or(own);
         let broadcast = outgoing == Outgoing::Broadcast;
-        let mut divided = !any_guess;
-        for ((input, message), &variable) in inputs.iter_mut().zip(replaced).zip(variables) {
-            if broadcast {
-                input.clone_from(&beliefs[variable as usize]);
-            } else {
-                divided &= beliefs[variable as usize].quotient_into(message, input);
+        if shared.divided && !broadcast {
+            // The loop of most passes, with nothing in it that may not be done side by side.
+            for ((input, message), &variable) in inputs.iter_mut().zip(replaced).zip(variables) {
+                beliefs[variable as usize].quotient_into(message, input);
             }
-        }
-        if !broadcast && !divided {
+        } else {
             for (place, (input, &variable)) in inputs.iter_mut().zip(variables).enumerate() {
-                if any_guess || !beliefs[variable as usize].quotient_into(&replaced[place], input) {
+                let belief = &beliefs[variable as usize];
+                if broadcast {
+                    input.clone_from(belief);
+                } else if any_guess || !belief.quotient_into(&replaced[place], input) {
                     without(shared, standing, variable as usize, edges.start + place, input)?;
                 }
             }
@@ -123,21 +119,15 @@ fn send_in_groups<M: Message, F: Factor<M>>(
         let forms = &forms.edges[edges.clone()];
         let seen = Group { inputs, beliefs, variables, bounds, forms, uniform, seed, iteration };
         let rules = &graph.factors[members.clone()];
-        let new = if apart { &mut group[..edges.len()] } else { &mut *own };
-        if let Err((place, source)) = F::many_messages_into(rules, &seen, new) {
+        if let Err((place, source)) = F::many_messages_into(rules, &seen, own) {
             let edge = edges.start + place;
             return Err(failed(shared, topology.factor_of(crate::EdgeId(edge as u32)).index(), edge, source));
         }
-        if damping > 0.0 {
+        // Messages that are damped are never replaced in place.
+        if let (true, Some(before)) = (damping > 0.0, before) {
             let sent = (!shared.all_sent).then_some(&state.sent[edges.clone()]);
-            let outcome = match before {
-                Some(before) => damp_all(own, before, sent, damping),
-                None => damp_all(&mut group[..edges.len()], own, sent, damping),
-            };
-            outcome.map_err(|source| failed(shared, members.start, edges.start, source))?;
-        }
-        if apart {
-            own.clone_from_slice(&group[..edges.len()]);
+            damp_all(own, before, sent, damping)
+                .map_err(|source| failed(shared, members.start, edges.start, source))?;
         }
     }
     Ok(())
