@@ -145,7 +145,13 @@ impl Scenario for Association {
             let method = self.method.named(id)?;
             let layout = match method.algorithm {
                 Algorithm::Bias => biases(),
-                _ => StateLayout { names: vec![], position: vec![], velocity: vec![], angular: vec![], clock: vec![] },
+                _ => StateLayout {
+                    names: vec![],
+                    position: vec![],
+                    velocity: vec![],
+                    angular: vec![],
+                    clock: vec![],
+                },
             };
             let mut pairs = Vec::new();
             let mut done = MethodRun::timed(id, layout, |out| {

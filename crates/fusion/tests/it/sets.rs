@@ -57,8 +57,8 @@ proptest! {
                 closed.push(both);
             }
         }
-        for k in 0..sets.len() {
-            let more: Vec<_> = closed.iter().map(|other| other & &sets[k]).collect();
+        for own in &sets {
+            let more: Vec<_> = closed.iter().map(|other| other & own).collect();
             closed.extend(more);
         }
         let at_hand: Vec<InformationSet> = closed.iter().map(set).collect();
