@@ -16,7 +16,9 @@ const FIGURES: &[(&str, Figure)] = &[
         method.summary.position_rmse_m.as_ref().map(|statistic| (statistic.mean, statistic.se))
     }),
     ("RMSE [m]", |method| method.summary.rmse_m.as_ref().map(|statistic| (statistic.mean, statistic.se))),
-    ("share of correct pairs", |method| Some((method.diagnostic("association.correct")?, None))),
+    ("share of correct pairs", |method| {
+        Some((method.diagnostic("association.correct")?, method.standard_error("association.correct")))
+    }),
 ];
 
 /// The first of the figures over the key's values, with its 95 % interval over the runs.

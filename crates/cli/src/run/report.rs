@@ -11,8 +11,6 @@ const OWN_COLUMNS: &[(&str, &str)] = &[
     ("association.false", "false"),
     ("disagreement", "disagreement [m]"),
     ("claimed_trace", "claimed trace [m²]"),
-    ("clock_offset_rmse_s", "offset RMSE [s]"),
-    ("clock_skew_rmse_ppm", "skew RMSE [ppm]"),
 ];
 
 /// What the last column means.
@@ -23,10 +21,13 @@ pub fn columns() -> Vec<(&'static str, Align)> {
     let common = [
         ("method", Align::Left),
         ("RMSE [m]", Align::Right),
+        ("of the last ten [m]", Align::Right),
         ("50 % [m]", Align::Right),
         ("80 % [m]", Align::Right),
         ("95 % [m]", Align::Right),
         ("velocity RMSE [m/s]", Align::Right),
+        ("clock RMSE [s]", Align::Right),
+        ("skew RMSE [ppm]", Align::Right),
         ("NEES/dof", Align::Right),
         ("in 95 % region", Align::Right),
         ("95 % width [m]", Align::Right),
@@ -80,10 +81,13 @@ fn row(id: &str, metrics: &MethodMetrics) -> Vec<String> {
     let mut cells = vec![
         id.to_owned(),
         summary.position_rmse_m.as_ref().or(summary.rmse_m.as_ref()).map_or(String::new(), statistic),
+        metrics.final_rmse_m.as_ref().map_or(String::new(), statistic),
         quantile(|q| q.p50),
         quantile(|q| q.p80),
         quantile(|q| q.p95),
         summary.velocity_rmse_mps.as_ref().map_or(String::new(), statistic),
+        summary.clock_offset_rmse_s.as_ref().map_or(String::new(), statistic),
+        summary.clock_skew_rmse_ppm.as_ref().map_or(String::new(), statistic),
         calibration
             .filter(|_| summary.position_rmse_m.is_some())
             .map_or(String::new(), |calibration| number(calibration.ratio)),
