@@ -71,6 +71,9 @@ fn plain(what: &str) -> String {
         "a boolean" => "true or false".to_owned(),
         "a sequence" => "an array".to_owned(),
         "map" | "a map" => "a table".to_owned(),
+        // What the TOML reader says of anything but a text where a name is wanted.
+        "unit variant" => "no text".to_owned(),
+        "string only" | "variant identifier" => "a name in quotes".to_owned(),
         other => {
             match other.strip_prefix("struct ").or_else(|| other.strip_prefix("internally tagged enum ")) {
                 Some(_) => "a table".to_owned(),
@@ -108,6 +111,12 @@ mod tests {
                 "is an unknown key; known here: world, runs",
             ),
             ("world", "missing field `steps`", "world.steps", "is missing; add it"),
+            (
+                "world.anchors",
+                "invalid type: unit variant, expected string only",
+                "world.anchors",
+                "is no text; it must be a name in quotes",
+            ),
             (
                 "method.a.form.range",
                 "unknown variant `gausian`, expected `gaussian` or `particles`",
