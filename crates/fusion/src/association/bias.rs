@@ -44,9 +44,9 @@ impl BiasPrior {
 /// The biases after association, scan by scan.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BiasPosterior {
-    /// Mean: four biases a scan.
+    /// Mean: four biases a scan, in the order and units of [`BiasPrior::mean`].
     pub mean: DVector<f64>,
-    /// Joint covariance of all scans.
+    /// Joint covariance of all scans (m², m rad, rad²).
     pub covariance: DMatrix<f64>,
     scans: usize,
 }
@@ -186,13 +186,19 @@ impl BiasField {
 }
 
 impl Displacement for BiasField {
-    fn start(&mut self, first: &Tracks, _scale: f64) -> Result<f64, AssociationError> {
+    fn start(
+        &mut self,
+        first: &Tracks,
+        _scale: f64,
+        displacements: &mut [f64],
+    ) -> Result<f64, AssociationError> {
         planar(first)?;
         self.scans = first.scans();
         self.sets = if self.prior.walk == Matrix4::zeros() { 1 } else { self.scans };
         self.first = first.coordinates().chunks_exact(2).map(|y| Vector2::new(y[0], y[1])).collect();
         self.posterior = None;
         self.chain()?;
+        self.places(&self.mean, displacements);
         let spread: f64 = (0..self.first.len())
             .map(|place| {
                 let (_, derivative, _) = self.transfer(place, &self.mean);

@@ -1,6 +1,10 @@
 //! Which tracks are near each other: a grid over the first scan, and lists in one array.
 
+use super::error::AssociationError;
 use super::tracks::Tracks;
+
+/// Tracks nearer than this share of the reach are on one another.
+const COINCIDENT: f64 = 1e-12;
 
 /// For each second track the first ones within reach, ascending.
 #[derive(Clone, Debug, Default)]
@@ -12,17 +16,34 @@ pub(super) struct Candidates {
 impl Candidates {
     /// Tracks within `radius`, root mean square over the scans, as long as there are no more than `most`; else the
     /// radius shrinks until there are no more. O(n log n) and the pairs within twice the radius.
-    pub fn within(first: &Tracks, second: &Tracks, radius: f64, most: usize) -> Self {
+    ///
+    /// # Errors
+    /// [`AssociationError::Tracks`] where more pairs than that coincide.
+    pub fn within(
+        first: &Tracks,
+        second: &Tracks,
+        radius: f64,
+        most: usize,
+    ) -> Result<Self, AssociationError> {
         if first.len().saturating_mul(second.len()) <= most && radius == f64::INFINITY {
             let starts = (0..=second.len()).map(|n| n * first.len()).collect();
             let members = (0..second.len()).flat_map(|_| 0..first.len() as u32).collect();
-            return Self { starts, members };
+            return Ok(Self { starts, members });
         }
         let mut radius = radius.min(reach(first, second));
+        let least = COINCIDENT * radius;
         loop {
             match Self::collect(first, second, radius, most) {
-                Some(candidates) => return candidates,
-                None => radius *= 0.8,
+                Some(candidates) => return Ok(candidates),
+                None if radius > least => radius *= 0.8,
+                None => {
+                    let problem = format!(
+                        "of {} and {} tracks more than {most} pairs coincide; leave out those that repeat others",
+                        first.len(),
+                        second.len()
+                    );
+                    return Err(AssociationError::Tracks { problem });
+                }
             }
         }
     }

@@ -115,7 +115,12 @@ impl CoherentDrift {
 }
 
 impl Displacement for CoherentDrift {
-    fn start(&mut self, first: &Tracks, scale: f64) -> Result<f64, AssociationError> {
+    fn start(
+        &mut self,
+        first: &Tracks,
+        scale: f64,
+        _displacements: &mut [f64],
+    ) -> Result<f64, AssociationError> {
         self.factor(first, scale);
         self.precision = self.stiffness / (scale * scale);
         self.coefficients = vec![0.0; self.columns.len() * first.width()];

@@ -18,14 +18,20 @@ const REACH: f64 = 10.0;
 /// The maximisation step asks for the displacements v that maximise
 /// −1/(2σ²) Σ_mn P_mn |x_n − y_m − v_m|² − penalty(v), or at least raise it.
 pub trait Displacement {
-    /// Prepares for these tracks; `scale` is the root mean square of a coordinate about its mean over both sets (m).
-    /// Returns the variance that the prior gives a coordinate's displacement (m²), on average.
+    /// Prepares for these M tracks of D coordinates: fills the displacements (M·D numbers in metres, zero before) with the
+    /// prior's mean, and returns the variance that the prior gives a coordinate's displacement (m²), on average. `scale` is
+    /// the root mean square of a coordinate about its mean over both sets (m).
     ///
     /// # Errors
     /// Where the field cannot displace such tracks.
-    fn start(&mut self, first: &Tracks, scale: f64) -> Result<f64, AssociationError>;
+    fn start(
+        &mut self,
+        first: &Tracks,
+        scale: f64,
+        displacements: &mut [f64],
+    ) -> Result<f64, AssociationError>;
 
-    /// Improves the displacements (M·D, zero at first) at variance σ² of a coordinate.
+    /// Improves the displacements (M·D) at variance σ² of a coordinate.
     ///
     /// # Errors
     /// Where the field's equations cannot be solved.
@@ -151,10 +157,12 @@ impl<'a, F: Displacement + ?Sized> Fit<'a, F> {
     ) -> Result<Self, AssociationError> {
         let count = first.len();
         let scale = if first.is_empty() && second.is_empty() { 1.0 } else { scale(first, second) };
-        let prior = field.start(first, scale)?;
+        let mut displacements = vec![0.0; count * first.width()];
+        let prior = field.start(first, scale, &mut displacements)?;
+        let displaced = first.displaced(&displacements);
         let deviation = match mixture.start {
             Start::Prior => prior.sqrt(),
-            Start::Spread => root_mean_square_distance(first, second),
+            Start::Spread => root_mean_square_distance(&displaced, second),
             Start::Deviation(deviation) => deviation,
         };
         // Below a billionth of the sets' scale differences of coordinates are rounding.
@@ -162,19 +170,20 @@ impl<'a, F: Displacement + ?Sized> Fit<'a, F> {
         let all = mixture.neighbours.saturating_mul(second.len()).max(mixture.dense_pairs);
         let dense = count.saturating_mul(second.len()) <= mixture.dense_pairs;
         let whole = dense || mixture.start == Start::Spread;
-        let radius = if whole { f64::INFINITY } else { REACH * deviation };
-        let candidates = Candidates::within(first, second, radius, all);
+        // What may be declared a pair is looked at, however much the prior knows.
+        let radius = if whole { f64::INFINITY } else { mixture.gate.max(REACH * deviation) };
+        let candidates = Candidates::within(&displaced, second, radius, all)?;
         let outliers = mixture.outlier_weight;
         let log_weight = ((1.0 - outliers) / count.max(1) as f64).ln();
         Ok(Self {
             probabilities: vec![0.0; candidates.len()],
             pull: Pull { weight: vec![0.0; count], force: vec![0.0; count * first.width()] },
             memberships: vec![0.0; count],
-            displacements: vec![0.0; count * first.width()],
+            displacements,
             model: Expectation {
                 candidates,
                 second,
-                places: first.coordinates().to_vec(),
+                places: displaced.coordinates().to_vec(),
                 tails: mixture.tails,
                 variance: (deviation * deviation).max(least_variance),
                 log_weights: vec![log_weight; count],

@@ -12,9 +12,9 @@ const NEGLIGIBLE: f64 = -37.0;
 /// With weights P_mn = τ_mn u_mn, of M first tracks with D coordinates each.
 #[derive(Clone, Debug, Default)]
 pub struct Pull {
-    /// Σ_n P_mn: M numbers.
+    /// Σ_n P_mn: M numbers without unit.
     pub weight: Vec<f64>,
-    /// Σ_n P_mn (x_n − y_m − v_m) at the displacement v that the step started from: M·D numbers.
+    /// Σ_n P_mn (x_n − y_m − v_m) at the displacement v that the step started from: M·D numbers (m).
     pub force: Vec<f64>,
 }
 

@@ -22,12 +22,11 @@ impl Tracks {
     /// numbers that are not finite or too large to be squared.
     pub fn new(dimension: usize, scans: usize, coordinates: Vec<f64>) -> Result<Self, AssociationError> {
         let wrong = |problem| Err(AssociationError::Tracks { problem });
-        let width = dimension.saturating_mul(scans);
-        if width == 0 {
+        let Some(width) = dimension.checked_mul(scans).filter(|width| *width > 0) else {
             return wrong(format!(
-                "they have {scans} scans of {dimension} coordinates; both must be at least 1"
+                "they have {scans} scans of {dimension} coordinates; both must be at least 1, and can be counted"
             ));
-        }
+        };
         if !coordinates.len().is_multiple_of(width) {
             let given = coordinates.len();
             return wrong(format!("{given} numbers are no whole number of tracks with {width} each"));

@@ -80,7 +80,7 @@ proptest! {
 fn an_allowance_is_kept_by_taking_the_nearest() {
     let line: Vec<[f64; 2]> = (0..100).map(|i| [f64::from(i), 0.0]).collect();
     let tracks = Tracks::planar(&line).unwrap();
-    let found = Candidates::within(&tracks, &tracks, f64::INFINITY, 1000);
+    let found = Candidates::within(&tracks, &tracks, f64::INFINITY, 1000).unwrap();
     assert!((400..=1000).contains(&found.len()), "{}", found.len());
     assert!(found.pairs().all(|(_, m, n)| m.abs_diff(n) <= 5));
 }

@@ -131,3 +131,15 @@ fn distant_axes_and_large_biases_do_no_harm() {
     assert!(there.correct(&by_drift(&there, &gaussian())) > 0.9);
     by_bias(&there, &Mixture::default());
 }
+
+#[test]
+fn a_crowd_of_equal_tracks_is_refused() {
+    let tracks = Tracks::planar(&[[30e3, 40e3]; 1001]).unwrap();
+    let mut field = BiasField::new(SENSORS, prior()).unwrap();
+    let error = associate(&tracks, &tracks, &mut field, &Mixture::default()).unwrap_err();
+    assert!(
+        matches!(error, AssociationError::Tracks { .. }) && error.to_string().contains("coincide"),
+        "{error}"
+    );
+    assert!(Tracks::new(usize::MAX, 2, vec![]).is_err());
+}

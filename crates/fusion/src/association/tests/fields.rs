@@ -50,7 +50,7 @@ fn the_low_rank_drift_is_the_dense_one() {
     };
     let variance = 150.0_f64.powi(2);
     let mut field = CoherentDrift::new(length, stiffness).unwrap();
-    let prior = field.start(tracks, scale).unwrap();
+    let prior = field.start(tracks, scale, &mut vec![0.0; 2 * count]).unwrap();
     assert!((prior - scale * scale / stiffness).abs() < 1e-6 * prior);
     let mut low = vec![0.0; 2 * count];
     field.improve(&pull, variance, &mut low).unwrap();
@@ -80,11 +80,11 @@ fn the_low_rank_drift_is_the_dense_one() {
 fn a_rank_cut_short_is_told_and_stiffer() {
     let scene = Scene::new(8, 60, 0, &[[0.0; 4]]);
     let mut field = CoherentDrift::new(0.3, 3.0).unwrap().with_rank(10).unwrap();
-    field.start(&scene.first, 20e3).unwrap();
+    field.start(&scene.first, 20e3, &mut [0.0; 120]).unwrap();
     assert_eq!(field.rank(), 10);
     assert!(field.lacking() > 0.1);
     assert!(CoherentDrift::new(1.0, 1.0).unwrap().with_rank(0).is_err());
     let none = Tracks::planar(&[]).unwrap();
-    field.start(&none, 1.0).unwrap();
+    field.start(&none, 1.0, &mut []).unwrap();
     assert_eq!(field.rank(), 0);
 }

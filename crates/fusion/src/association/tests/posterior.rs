@@ -3,7 +3,7 @@ use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
-use super::super::{BiasField, Mixture, associate};
+use super::super::{BiasField, BiasPrior, Mixture, associate};
 use super::{DEGREE, SENSORS, Scene, by_bias, prior};
 
 /// The biases of 200 scenes, drawn from the prior with deviations of 600 m and a degree. NEES has mean 4; its mean over
@@ -82,4 +82,25 @@ fn a_posterior_is_the_prior_of_the_next_scan() {
     let nees = error.dot(&(knowledge.covariance.try_inverse().unwrap() * error));
     // Above 25 with a probability below 1e-4.
     assert!(nees < 25.0, "{nees}");
+}
+
+/// Biases known to a few metres displace tracks by kilometres: partners are sought where the prior puts them.
+#[test]
+fn a_tight_prior_far_from_zero_is_where_partners_are_sought() {
+    let truth = [3000.0, -4.0 * DEGREE, -2500.0, 3.5 * DEGREE];
+    let scene = Scene::new(77, 40, 4, &[truth]);
+    let mut prior = BiasPrior::independent(5.0, 1e-4);
+    prior.mean = Vector4::from(truth);
+    for dense_pairs in [0, 1_000_000] {
+        let mut field = BiasField::new(SENSORS, prior.clone()).unwrap();
+        let mixture = Mixture { dense_pairs, ..Mixture::default() };
+        let found = associate(&scene.first, &scene.second, &mut field, &mixture).unwrap();
+        assert!(found.report.largest_fall() <= 1e-9, "{}", found.report.largest_fall());
+        assert!(scene.correct(&found) > 0.95, "{dense_pairs}: {}", scene.correct(&found));
+        // The first places are the prior's, so that nothing is left to be found in the first steps.
+        assert!(found.report.iterations() < 40, "{}", found.report.iterations());
+        let (mean, covariance) = field.posterior().unwrap().scan(0).unwrap();
+        let error = mean - Vector4::from(truth);
+        assert!(error.dot(&(covariance.try_inverse().unwrap() * error)) < 25.0);
+    }
 }
