@@ -2,7 +2,7 @@
 //!
 //! A message is the logarithms of its values, the largest zero: a state that is ruled out has minus infinity. Where all
 //! values are in the range of doubles and a rule sums them, it is the values themselves, and logarithms are taken when
-//! asked for; which of the two is held does not show in the answer. At a temperature T a factor f sends
+//! asked for; which of the two is held shows in no digit before the twelfth. At a temperature T a factor f sends
 //!
 //! m(x) = T log Σ_y exp((log f(x, y) + Σ m(y)) / T),
 //!

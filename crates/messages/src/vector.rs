@@ -173,9 +173,13 @@ pub fn sum_of_exponentials(logs: &[f64], shift: f64) -> f64 {
     total
 }
 
-/// Logarithm of the sum of exponentials; minus infinity of none. The largest where that is infinite.
+/// Logarithm of the sum of exponentials; minus infinity of none. The largest where that is infinite, NaN where a logarithm
+/// is.
 pub fn log_sum(logs: &[f64]) -> f64 {
     let largest = largest(logs);
+    if logs.iter().any(|log| log.is_nan()) {
+        return f64::NAN;
+    }
     if !largest.is_finite() {
         return largest;
     }

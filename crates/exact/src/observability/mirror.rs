@@ -125,8 +125,8 @@ const IN_MIRROR: f64 = 1e-9;
 /// Change of a loss, relative to one plus the loss, that is rounding.
 const SAME: f64 = 1e-9;
 
-/// All mirror ambiguities in the plane and in space at these values. Linear in the edges for each connected part, but for factors of
-/// many variables.
+/// All mirror ambiguities in the plane and in space at these values. Linear in the edges for each connected part, but for
+/// factors of many variables.
 ///
 /// # Errors
 ///
@@ -140,22 +140,22 @@ pub fn mirror_images(problem: &Problem<'_>, values: &Values) -> Result<Vec<Mirro
             component.iter().flat_map(|&v| factors_of[v as usize].iter().copied()).collect();
         factors.sort_unstable();
         factors.dedup();
-        let Some(axes) = component.iter().find_map(|&v| search.position(v)).map(|p| p.len()) else {
-            continue;
-        };
-        let mut places = Vec::new();
-        for &factor in &factors {
-            search.places(factor as usize, axes, &mut places)?;
+        let mut whole = None;
+        for axes in [2, 3] {
+            let mut places = Vec::new();
+            for &factor in &factors {
+                search.places(factor as usize, axes, &mut places)?;
+            }
+            if let (None, Some(mirror)) = (&whole, Mirror::through(&places)) {
+                whole = search.image(&component, &factors, &mirror)?;
+            }
         }
-        let whole = match Mirror::through(&places) {
-            Some(mirror) => search.image(&component, &factors, &mirror)?,
-            None => None,
-        };
         if whole.is_some() || component.len() == 1 {
             found.extend(whole);
             continue;
         }
         for &variable in &component {
+            let Some(axes) = search.position(variable).map(|place| place.len()) else { continue };
             let own = &factors_of[variable as usize];
             let mut ties = Vec::new();
             for &factor in own {
@@ -221,7 +221,8 @@ impl Search<'_, '_> {
         let mut mirrored = self.values.clone();
         let (mut moved, mut distance, mut extent): (Vec<u32>, f64, f64) = (Vec::new(), 0.0, 0.0);
         for &variable in variables {
-            let Some(before) = self.position(variable) else { continue };
+            let here = self.position(variable).filter(|place| place.len() == mirror.point.len());
+            let Some(before) = here else { continue };
             let index = variable as usize;
             let own = &mut mirrored.numbers[self.problem.layout().range(index)];
             let Some(place) = Place::of(self.problem.space(index)) else { continue };

@@ -181,6 +181,34 @@ fn a_mirror_ambiguity() {
     assert_eq!(mirror_images(&problem, &values).unwrap(), []);
 }
 
+/// A variable that is no position beside those that are changes nothing.
+#[test]
+fn a_mirror_ambiguity_beside_a_variable_of_three_numbers() {
+    for calibration_first in [true, false] {
+        let mut graph = Graph::new();
+        let calibration = |graph: &mut Graph| graph.variable("calibration", Space::real(3)).unwrap();
+        let early = calibration_first.then(|| calibration(&mut graph));
+        let x = graph.variable("x", Space::real(2)).unwrap();
+        let other = early.unwrap_or_else(|| calibration(&mut graph));
+        for anchor in [[0.0, 0.0], [10.0, 0.0]] {
+            let range = AnchorRange::new(7.0, anchor, 2, [0, 1], noise(1)).unwrap();
+            graph.add("range", range, &[x]).unwrap();
+        }
+        graph
+            .add("known", Prior::new(&Space::real(3), &[1.0, 2.0, 3.0], noise(3)).unwrap(), &[other])
+            .unwrap();
+        let tie = Range::new(5.0, [2, 3], [[0, 1]; 2], noise(1)).unwrap();
+        graph.add("tie", tie, &[x, other]).unwrap();
+        let problem = Problem::new(&graph).unwrap();
+        let mut values = problem.start();
+        values.set(x, &[5.0, 4.0]).unwrap();
+        values.set(other, &[5.0, 0.0, 1.0]).unwrap();
+        let images = mirror_images(&problem, &values).unwrap();
+        assert_eq!(images.len(), 1, "{calibration_first}: {images:?}");
+        assert_eq!(images[0].variables, ["x"]);
+    }
+}
+
 /// Three known points on a surface leave a fourth two places, above it and below.
 #[test]
 fn a_mirror_ambiguity_in_space() {

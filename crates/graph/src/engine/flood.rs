@@ -191,7 +191,12 @@ pub(super) fn everything<M: Message, F: Factor<M>>(
         interleaved(&shared, &flood.done, scratch, previous, &mut messages, &mut beliefs, &guessed)
     };
     (state.beliefs, state.guessed) = (beliefs, guessed);
-    flood.previous = std::mem::replace(&mut state.messages, messages);
+    if kept && outcome.is_err() {
+        // Messages not reached are those of the pass before the last.
+        flood.previous = messages;
+    } else {
+        flood.previous = std::mem::replace(&mut state.messages, messages);
+    }
     if outcome.is_ok() {
         state.sent.fill(true);
     }
@@ -229,14 +234,21 @@ fn interleaved<M: Message, F: Factor<M>>(
     guessed: &[bool],
 ) -> Result<f64, GraphError> {
     let mut largest: f64 = 0.0;
+    // As in turn: a factor's failure is told before a product's, and of several the first.
+    let mut failed: Option<(usize, GraphError)> = None;
     for (factors, variables) in done.strides(shared.topology.factor_count()) {
         send(shared, Standing { beliefs, guessed }, factors, scratch, messages, 0)?;
         for &variable in variables {
             let (variable, guess) = (variable as usize, &mut false);
-            gather(shared, variable, messages, previous, &mut beliefs[variable], guess, &mut largest)?;
+            let belief = &mut beliefs[variable];
+            if let Err(error) = gather(shared, variable, messages, previous, belief, guess, &mut largest)
+                && failed.as_ref().is_none_or(|(first, _)| variable < *first)
+            {
+                failed = Some((variable, error));
+            }
         }
     }
-    Ok(largest)
+    failed.map_or(Ok(largest), |(_, error)| Err(error))
 }
 
 /// Halves the runs until one is left; the depth is the logarithm of their number.

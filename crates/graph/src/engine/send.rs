@@ -194,6 +194,13 @@ fn without<M: Message, F: Factor<M>>(
     out: &mut M,
 ) -> Result<(), GraphError> {
     let Shared { graph, topology, options, state, forms, .. } = *shared;
+    if !shared.kept {
+        // The family said otherwise, and the other messages may be replaced already.
+        let problem = "a message that its family says can be divided out of a belief cannot; Message::can_be_divided_out \
+                       must answer as Message::quotient_into does";
+        let source = MessageError::Unsupported(problem.to_owned());
+        return Err(product_error(graph, variable, state.iteration, source));
+    }
     let mut stream = Stream::new(options.seed, state.iteration, Purpose::Extrinsic, edge as u64);
     extrinsic(topology, (state, standing), &forms.beliefs[variable], variable, edge, &mut stream, out)
         .map_err(|source| product_error(graph, variable, state.iteration, source))

@@ -58,8 +58,9 @@ impl Categorical {
             }
             crate::vector::least(logs)
         });
-        let (largest, sum) = normalise_logs(&mut out.numbers);
-        least > f64::NEG_INFINITY && largest.is_finite() && !sum.is_nan()
+        // Differences of logarithms up to zero are numbers; their sum may be none.
+        let (largest, _) = normalise_logs(&mut out.numbers);
+        least > f64::NEG_INFINITY && largest.is_finite()
     }
 }
 

@@ -16,7 +16,8 @@ fn fast<W: WithSimd>(states: usize, work: W) -> W::Output {
     if states <= FEW { work.with_simd(Scalar::new()) } else { Arch::new().dispatch(work) }
 }
 
-/// Makes the largest logarithm zero; returns what was the largest, and a sum that is NaN where a logarithm is.
+/// Makes the largest logarithm zero, where it is finite; returns what was the largest, and a sum that is NaN where a
+/// logarithm is.
 pub(super) fn normalise_logs(logs: &mut [f64]) -> (f64, f64) {
     struct Normalise<'a>(&'a mut [f64]);
     impl NullaryFnOnce for Normalise<'_> {
@@ -24,8 +25,9 @@ pub(super) fn normalise_logs(logs: &mut [f64]) -> (f64, f64) {
         #[inline(always)]
         fn call(self) -> (f64, f64) {
             let (largest, sum) = (largest(self.0), sum(self.0));
+            let shift = if largest.is_finite() { largest } else { 0.0 };
             for log in self.0 {
-                *log -= largest;
+                *log -= shift;
             }
             (largest, sum)
         }

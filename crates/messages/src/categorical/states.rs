@@ -227,7 +227,7 @@ impl TryFrom<Stored> for Categorical {
         let values = stored.values.map(Vec::into_boxed_slice);
         if let Some(value) = values.iter().flatten().find(|value| !(**value >= LEAST && **value <= 2.0)) {
             return Err(format!(
-                "a value of a message over states is {value}; values are above 0 and at most 1"
+                "a value of a message over states is {value}; values are above 1e-290 and at most 2"
             ));
         }
         let Some(logs) = stored.logs else {

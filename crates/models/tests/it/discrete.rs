@@ -5,8 +5,8 @@ use rand::RngExt;
 use std::sync::Arc;
 use sumprod_graph::schedule::{Flooding, ForwardBackward, Residual};
 use sumprod_graph::{
-    Engine, Factor, FactorGraph, Incoming, Message, MessageError, MessageStreams, Options, Purpose, Space,
-    Stream,
+    Engine, Factor, FactorGraph, Incoming, Message, MessageError, MessageStreams, Options, Outgoing, Purpose,
+    Space, Stream,
 };
 use sumprod_messages::{AnyForm, AnyMessage, Categorical, CategoricalFamily, CategoricalForm, LogOdds};
 use sumprod_models::discrete::{LocalEvidence, Logical, PairOdds, Table, TableError, Tabulation};
@@ -269,6 +269,69 @@ fn a_tree_of_states_is_exact_by_every_schedule_and_family() {
     check::<Categorical>(&tables, &exact, total);
     check::<LogOdds>(&tables, &exact, total);
     check::<AnyMessage>(&tables, &exact, total);
+}
+
+/// A grid with random tables: damped, broadcast and plain flooding say the same whatever the family and the threads.
+#[test]
+fn families_and_threads_agree_on_a_grid_with_loops() {
+    const SIDE: usize = 40;
+    fn beliefs<M: CategoricalFamily>(damping: f64, outgoing: Outgoing, parallel: bool) -> Vec<f64> {
+        let mut random = Stream::new(3, 0, Purpose::World, 0).fast();
+        let mut table = |cards: &[usize]| {
+            let logs = (0..cards.iter().product()).map(|_| 1.6 * random.random::<f64>() - 0.8).collect();
+            Box::new(Table::from_logs(cards, logs).unwrap())
+        };
+        let mut graph = FactorGraph::<M>::new();
+        let ids: Vec<_> = (0..SIDE * SIDE).map(|_| graph.unnamed_variable(Space::finite(2))).collect();
+        for (k, &id) in ids.iter().enumerate() {
+            graph.factor("own", table(&[2]), &[id]).unwrap();
+            if k % SIDE + 1 < SIDE {
+                graph.factor("beside", table(&[2, 2]), &[id, ids[k + 1]]).unwrap();
+            }
+            if k + SIDE < SIDE * SIDE {
+                graph.factor("below", table(&[2, 2]), &[id, ids[k + SIDE]]).unwrap();
+            }
+        }
+        let options =
+            Options { max_iterations: 7, tolerance: 0.0, damping, outgoing, parallel, ..Options::default() };
+        let mut engine = Engine::new(&graph, options).unwrap();
+        engine.run(&mut Flooding).unwrap();
+        let odds = |id| {
+            let mut logs = [0.0; 2];
+            engine.belief(id).read_logs(&mut logs);
+            logs[1] - logs[0]
+        };
+        ids.iter().map(|&id| odds(id)).collect()
+    }
+    for (damping, outgoing) in
+        [(0.0, Outgoing::Extrinsic), (0.3, Outgoing::Extrinsic), (0.3, Outgoing::Broadcast)]
+    {
+        let states = beliefs::<Categorical>(damping, outgoing, false);
+        let odds = beliefs::<LogOdds>(damping, outgoing, false);
+        assert_eq!(states, beliefs::<Categorical>(damping, outgoing, true));
+        assert_eq!(odds, beliefs::<LogOdds>(damping, outgoing, true));
+        let any = beliefs::<AnyMessage>(damping, outgoing, false);
+        assert_eq!(any, beliefs::<AnyMessage>(damping, outgoing, true));
+        for ((states, odds), any) in states.iter().zip(&odds).zip(&any) {
+            assert!((states - odds).abs() < 1e-10 && (states - any).abs() < 1e-10, "{states} {odds} {any}");
+        }
+    }
+}
+
+/// Users write the least number for what is impossible: its logarithm divides out like any other, or is told.
+#[test]
+fn the_least_number_as_an_impossible_state_is_no_failure_of_the_engine() {
+    let mut graph = FactorGraph::<Categorical>::new();
+    let ids = ["x", "y"].map(|name| graph.variable(name, Space::finite(3)).unwrap());
+    graph.set_prior(ids[0], Categorical::from_probabilities(&[0.5, 0.5, 0.0]).unwrap()).unwrap();
+    let forbidden = |x: usize| if x < 2 { f64::MIN } else { 0.0 };
+    let logs: Vec<f64> = (0..9).map(|index| forbidden(index / 3)).collect();
+    graph.factor("forbidding", Box::new(Table::from_logs(&[3, 3], logs).unwrap()), &ids).unwrap();
+    graph.factor("flat", Box::new(Table::from_logs(&[3, 3], vec![0.0; 9]).unwrap()), &ids).unwrap();
+    let mut engine = Engine::new(&graph, Options { max_iterations: 6, ..Options::default() }).unwrap();
+    engine.run(&mut Flooding).unwrap();
+    let found = engine.belief(ids[0]).probabilities();
+    assert!((found[0] - 0.5).abs() < 1e-12 && found[2] == 0.0, "{found:?}");
 }
 
 #[test]

@@ -44,7 +44,7 @@ fn kinematics<T: Real>(state: &[T]) -> ([T; 3], [T; 3]) {
 }
 
 /// The path of sound of speed c to a node that is at `offset` from its source when it is sent, and moves at `velocity`:
-/// s = c τ with |q + v τ| = c τ, so that τ = (q·v + √((q·v)² + (c² - v²) q²)) / (c² - v²). No number where v ≥ c.
+/// s = c τ with |q + v τ| = c τ, so that τ = (q·v + √((q·v)² + (c² - v²) q²)) / (c² - v²). No finite number where v ≥ c.
 #[inline(always)]
 fn pursuit<T: Real>(offset: [T; 3], velocity: [T; 3], speed: f64) -> T {
     let dot = |a: [T; 3], b: [T; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
